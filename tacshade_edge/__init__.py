@@ -1,7 +1,7 @@
 """Metric shape from touch on a small board, for TacShade optical tactile sensors.
 
-What is listed here is the library (docs/reference/library.md); all else is the program's own and may change at any
-time. Nothing is imported until it is asked for.
+The names listed here are the library (docs/reference/library.md); everything else is internal to the program and may
+change at any time. A name is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _HOMES = {
 }
 
 
-if not TYPE_CHECKING:  # for a checker every name would be there
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":

@@ -4,10 +4,10 @@
 
     TacshadeError
     ├── ConfigError   the user's settings, calibration or arguments are wrong: one line, exit 78
-    ├── DeviceError   the outside failed (camera, broker, disk): back off and retry; exit 1 in a one-shot command
-    └── DecodeError   bytes or a file could not be understood: count it, go on with the next
+    ├── DeviceError   something outside failed (camera, broker, disk): back off and retry; exit 1 in a one-shot command
+    └── DecodeError   bytes or a file could not be understood: count it and continue with the next
 
-Anything else that is raised is a defect: it ends the process, and systemd restarts it.
+Any other exception is a defect: it ends the process, and systemd restarts it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .reasons import Reason, ReasonCode
 
 
 class TacshadeError(Exception):
-    """Base of the three; only those are raised.
+    """The base class of the three errors that are raised.
 
     Parameters
     ----------
     text : str
         One line: what, where, and what was expected.
     code : ReasonCode, optional
-        For programs; by default the one of the class.
+        Code for programs; by default the class's own.
     """
 
     _code: ClassVar[ReasonCode]
@@ -37,19 +37,19 @@ class TacshadeError(Exception):
 
     @property
     def reason(self) -> Reason:
-        """Code and text."""
+        """The error's code and text."""
         return Reason(self.code, str(self))
 
 
 class ConfigError(TacshadeError):
-    """Settings, calibration or arguments that cannot work as they are (exit 78).
+    """Settings, a calibration or arguments that cannot work as they are (exit 78).
 
     Parameters
     ----------
     text : str
     code : ReasonCode, optional
     others : sequence of str
-        What else is wrong with the same file, a line each.
+        Further mistakes in the same file, one line each.
     """
 
     _code = ReasonCode.CONFIG
@@ -60,7 +60,7 @@ class ConfigError(TacshadeError):
 
 
 class DeviceError(TacshadeError):
-    """A camera, line, broker or disk that failed; it may come back."""
+    """A camera, serial line, broker or disk failed; it may come back."""
 
     _code = ReasonCode.DEVICE
 

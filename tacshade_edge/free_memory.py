@@ -1,4 +1,4 @@
-"""What the C library keeps of the memory that the process freed."""
+"""Control over the freed memory that the C library keeps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ _M_ARENA_MAX = -8  # glibc's malloc.h
 
 
 def return_free_memory() -> None:
-    """Give it back now: glibc keeps what lies below the newest block, of a large map most of it.
+    """Return freed memory to the system now: glibc keeps what lies below the newest block, most of a large map.
 
-    Takes some milliseconds, during which other threads go on. Another C library has nothing to be asked.
+    This takes a few milliseconds, while other threads keep running. Does nothing with another C library.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -18,9 +18,9 @@ def return_free_memory() -> None:
 
 
 def share_free_memory() -> None:
-    """Let all threads allocate from one heap: by itself glibc gives each a heap, of which 2 MB are unused.
+    """Make all threads allocate from one heap: by default glibc gives each its own, with 2 MB unused.
 
-    Only threads that start after it are affected. Another C library has nothing to be asked.
+    This affects only threads that start later. Does nothing with another C library.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

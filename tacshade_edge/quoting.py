@@ -1,4 +1,4 @@
-"""Text from outside, fit for one line of a log or a terminal."""
+"""Make text from outside fit for one line of a log or a terminal."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from collections.abc import Iterable
 
 
 def quoted(text: str, chars_max: int = 60) -> str:
-    """`text` in quotes, at most so much of it; what does not print (line ends, ESC) as an escape."""
+    """`text` in quotes, cut to `chars_max`, with unprintable characters (line ends, ESC) as escapes."""
     return repr(text if len(text) <= chars_max else text[:chars_max] + "…")
 
 
 def shown(text: object, chars_max: int = 300) -> str:
-    """`text` as it stands where it prints and is short; else `quoted`. For names and paths."""
+    """`text` unchanged if it is printable and short, else `quoted`. For names and paths."""
     said = str(text)
     return said if said.isprintable() and len(said) <= chars_max else quoted(said, chars_max)
 
 
 def escaped(text: str, chars_max: int = 1000) -> str:
-    """`text` without quotes, at most so much of it, what does not print as an escape: a line that is one line."""
+    """`text` as a single line without quotes, cut to `chars_max`, with unprintable characters as escapes."""
     if len(text) > chars_max:
         text = text[:chars_max] + "…"
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def did_you_mean(text: object, names: Iterable[object]) -> str:
-    """``; did you mean NAME?`` of the name that is nearest to `text`, or nothing where none is near."""
+    """``; did you mean NAME?`` with the name nearest to `text`, or an empty string if none is near."""
     near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
     return f"; did you mean {near[0]}?" if near else ""

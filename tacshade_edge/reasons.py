@@ -1,6 +1,6 @@
-"""Why something is not as it should be: a code for programs, from one enumeration, and a text for people.
+"""Reasons for failures: a code for programs, from one enumeration, and a text for people.
 
-Programs decide by the code alone, so a text may be worded anew at any time.
+Programs decide by the code alone, so the wording of a text may change at any time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from enum import StrEnum
 
 
 class ReasonCode(StrEnum):
-    """Every reason in ``summary.json``, over MQTT and on the serial line; docs/reference/mqtt/reasons.md has them."""
+    """Every reason in ``summary.json``, MQTT messages and serial lines; docs/reference/mqtt/reasons.md lists them."""
 
     # A frame.
     SIZE = "size"
@@ -36,7 +36,7 @@ class ReasonCode(StrEnum):
     # A daemon without a calibration.
     NOT_CALIBRATED = "not_calibrated"
 
-    # An error without a code of its own below.
+    # An error without a more specific code below.
     CONFIG = "config"
     DEVICE = "device"
     DECODE = "decode"
@@ -92,7 +92,7 @@ class ReasonCode(StrEnum):
     NUMBER_STALE = "number_stale"
     LINE_TOO_SLOW = "line_too_slow"
 
-    # A stitching session, and a press of it.
+    # A stitching session and its presses.
     NO_SESSION = "no_session"
     BAD_NAME = "bad_name"
     NAME_TAKEN = "name_taken"
@@ -116,7 +116,7 @@ class ReasonCode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """One reason.
+    """One failure's code and text.
 
     Attributes
     ----------
@@ -133,15 +133,15 @@ class Reason:
 
 
 def text_of(reason: Reason | None) -> str:
-    """Its text; empty without one."""
+    """The text of `reason`; empty if there is no reason."""
     return "" if reason is None else reason.text
 
 
 def code_of(reason: Reason | None) -> str:
-    """Its code; empty without one."""
+    """The code of `reason`; empty if there is no reason."""
     return "" if reason is None else reason.code.value
 
 
 def reason_fields(reason: Reason | None, key: str = "reason") -> dict[str, str]:
-    """A reason as messages have it: ``{"reason": text, "reason_code": code}``, both empty without one."""
+    """The fields of a message for a reason: ``{"reason": text, "reason_code": code}``, both empty without one."""
     return {key: text_of(reason), f"{key}_code": code_of(reason)}

@@ -1,4 +1,4 @@
-"""The one door for files that somebody else wrote: regular files only, of a size that is known before they are read."""
+"""Reads files that somebody else wrote: only regular files, whose size is known before they are read."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import BinaryIO
 
 
 def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
-    """Open a file for reading; a pipe, a device or a folder is refused before it can hang or go on for ever.
+    """Open a file for reading; refuse a pipe, a device or a folder before it can hang or never end.
 
     Parameters
     ----------
     path : path
     bytes_max : int
-        The file is refused when it is larger.
+        Greatest accepted size.
 
     Raises
     ------
     OSError
-        Not there, not readable, no regular file, or too large; `strerror` says which, fit for a person.
+        The file is absent, unreadable, not a regular file, or too large; `strerror` says which, in words for a person.
     """
     try:
-        # A pipe without a writer would wait for one.
+        # Without O_NONBLOCK, opening a pipe would wait for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a NUL in the name
         raise OSError(errno.EINVAL, str(error), path) from None
@@ -39,6 +39,6 @@ def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
 
 
 def read_regular(path: str | os.PathLike[str], bytes_max: int) -> bytes:
-    """Read a whole file, of what it is when it is opened. Raises OSError as `open_regular`."""
+    """Read a file, up to its size when it was opened. Raises OSError like `open_regular`."""
     with open_regular(path, bytes_max) as stream:
         return stream.read(os.fstat(stream.fileno()).st_size)

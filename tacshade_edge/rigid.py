@@ -1,4 +1,4 @@
-"""Rigid transforms in mm: what takes points of one frame to another. Names say ``a_T_b``: from b's points to a's."""
+"""Rigid transforms between frames, in mm; ``a_T_b`` transforms points from frame b to frame a."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ class Rigid:
         return Rigid(self.rotation @ inner.rotation, self.rotation @ inner.translation_mm + self.translation_mm)
 
     def apply(self, points_mm: npt.NDArray[np.floating]) -> F64:
-        """Take points (..., 3)."""
+        """Transform points (..., 3) in mm."""
         return np.asarray(points_mm @ self.rotation.T + self.translation_mm)
 
     def inverse(self) -> Rigid:
-        """The way back."""
+        """The inverse transform: ``b_T_a`` from ``a_T_b``."""
         return Rigid(self.rotation.T, -(self.rotation.T @ self.translation_mm))
 
     def seven(self) -> tuple[float, ...]:
-        """x, y, z in mm and the unit quaternion w, x, y, z with w >= 0: what files and messages hold."""
+        """x, y, z in mm and the unit quaternion w, x, y, z with w >= 0, as files and messages hold them."""
         return (*self.translation_mm.tolist(), *_quaternion(self.rotation))
 
 
 def from_seven(values: Sequence[float]) -> Rigid:
-    """From x, y, z in mm and a quaternion w, x, y, z, brought to length 1.
+    """Make a transform from x, y, z in mm and a quaternion w, x, y, z, which is normalised.
 
     Raises
     ------
     ValueError
-        The quaternion is of length 0.
+        The quaternion has length 0.
     """
     x_mm, y_mm, z_mm, *q = values
     norm = math.sqrt(math.fsum(v * v for v in q))
@@ -74,12 +74,12 @@ def of_pose(pose: Pose) -> Rigid:
 
 
 def shift(x_mm: float, y_mm: float, z_mm: float) -> Rigid:
-    """A translation alone."""
+    """A pure translation."""
     return Rigid(np.eye(3), np.array((x_mm, y_mm, z_mm)))
 
 
 def turn(vector_rad: Sequence[float] | F64) -> Rigid:
-    """A rotation about an axis through the origin, by the vector's length (Rodrigues)."""
+    """The rotation about the vector's direction through the origin, by its length in radians (Rodrigues)."""
     x, y, z = (float(v) for v in vector_rad)
     angle = math.sqrt(x * x + y * y + z * z)
     k = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
@@ -90,14 +90,14 @@ def turn(vector_rad: Sequence[float] | F64) -> Rigid:
 
 
 def turned_rad(rotation: F64) -> F64:
-    """Take the rotation vector (3,) that `turn` makes a rotation of, at most half a turn."""
+    """The rotation vector (3,) in radians, the inverse of `turn`; its length is at most π."""
     w, *v = _quaternion(rotation)
     sine = math.hypot(*v)
     return np.array(v) * (2 * math.atan2(sine, w) / sine if sine > 0 else 2.0)
 
 
 def _quaternion(m: F64) -> tuple[float, float, float, float]:
-    """Unit quaternion w, x, y, z of a rotation, from the largest of its components: no root of almost nothing."""
+    """The unit quaternion w, x, y, z of a rotation, from its largest component, to avoid the root of a tiny number."""
     squares = np.array(
         (
             1 + m[0, 0] + m[1, 1] + m[2, 2],

@@ -1,4 +1,4 @@
-"""The version of what is installed."""
+"""The installed version of the package."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from functools import cache
 
 
 def how_to_install(extra: str) -> str:
-    """The command that adds an extra: of the clone, while no index has the package."""
+    """The command that installs an extra: from the clone, as long as no index has the package."""
     return f"pip install '.[{extra}]' in the clone"
 
 
 @cache
 def installed_version() -> str:
-    """As it was built (``tools/release/version.py``); of a checkout that is not installed nothing is known."""
-    from importlib import metadata  # 10 ms that most commands do without
+    """The version set at build time (``tools/release/version.py``); ``0+unknown`` in an uninstalled checkout."""
+    from importlib import metadata  # takes 10 ms that most commands do not need
 
     try:
         return metadata.version("tacshade-edge")

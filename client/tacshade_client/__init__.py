@@ -1,6 +1,6 @@
-"""What TacShade sensors publish over MQTT, as NumPy arrays: the decoders, and `listen`.
+"""Receives and decodes the MQTT messages of TacShade sensors as NumPy arrays.
 
-What is listed here is public, and `rigid`.
+The names listed here and the module `rigid` are public.
 """
 
 from .errors import ConfigError, DecodeError, DeviceError, TacshadeError

@@ -1,4 +1,4 @@
-"""Messages of sensors and hands as they come, from a broker that may go away and come back."""
+"""Receives messages of sensors and hands from a broker, and reconnects when it comes back."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ NEWEST_WINS: Final = frozenset(
         "objects",
     )
 )
-"""Of these one message waits for each topic, of all others every one, in order."""
+"""For each of these topics only the newest message waits; for all others every message waits, in order."""
 WAITING_MAX: Final = 256
-"""Then the oldest makes room."""
+"""Most waiting messages; the next one replaces the oldest."""
 _FIRST_S: Final = 5.0
 _CONNECT_S: Final = 3.0
 _RECONNECT_S: Final = 1
@@ -64,32 +64,32 @@ def listen(
     password: str | None = None,
     ca_file: str | os.PathLike[str] | None = None,
 ) -> Listener:
-    """Listen to what sensors or hands publish (docs/reference/mqtt.md), from any number of them.
+    """Receive the messages of any number of sensors or hands (docs/reference/mqtt.md).
 
-    Of a topic with frames, contacts, touches or health only the newest message waits, so a slow reader skips some
-    (`Listener.passed_over`). All others (``state``, ``status/...``, ``event/slip``, ``info``) wait in order; of more
-    than 256 waiting messages the oldest is dropped (`Listener.dropped`). It reconnects by itself, with a line in the
-    log (``logging``); what is published meanwhile is missed.
+    On a topic with frames, contacts, touches or health only the newest message waits, so a slow reader skips some
+    (`Listener.passed_over`). All others (``state``, ``status/...``, ``event/slip``, ``info``) wait in order; beyond 256
+    waiting messages the oldest is dropped (`Listener.dropped`). The listener reconnects automatically, with a line in
+    the log (``logging``), and misses the messages published meanwhile.
 
     Parameters
     ----------
     broker : str
-        ``HOST`` or ``HOST:PORT``; the port is 1883 without one.
+        ``HOST`` or ``HOST:PORT``; the default port is 1883.
     name : str
         A sensor's id, ``hand/`` and a hand's id, or ``+`` or ``hand/+`` for all.
     topics : collection of str
-        Below the name: ``height``, ``contact``, ``status/+``. A sensor does not compute what nobody listens to.
+        Topics below the name: ``height``, ``contact``, ``status/+``. Sensors do not compute topics without subscribers.
     username, password : str, optional
-        For a broker that asks who listens.
+        For a broker that requires a login.
     ca_file : path, optional
-        TLS is used when given: the authority that signed the broker's certificate.
+        Certificate of the authority that signed the broker's certificate; turns TLS on.
 
     Raises
     ------
     ConfigError
-        Arguments that can never work.
+        The arguments can never work.
     DeviceError
-        The broker cannot be reached, does not answer, or does not let us in or listen.
+        The broker cannot be reached, does not answer, or rejects the connection or a subscription.
     """
     host, port = host_and_port(broker)
     if not name.removeprefix("hand/") or set(name.removeprefix("hand/")) & set("/#\0"):
@@ -121,19 +121,19 @@ def listen(
 
 
 class Listener(Iterator[Message]):
-    """Messages one after the other; made by `listen`, to be closed by ``with`` or `close`.
+    """An iterator over received messages; `listen` makes it, ``with`` or `close` closes it.
 
-    Iterating waits for the next message, for as long as it takes; `get` waits for a time. paho's thread receives,
-    the caller's decodes.
+    Iteration waits for the next message without a limit; `get` can wait for a limited time. paho's thread receives
+    messages, and the caller's thread decodes them.
 
     Attributes
     ----------
     passed_over : int
-        Messages that a newer one of their topic replaced before they were read.
+        Number of messages replaced by a newer one on their topic before they were read.
     dropped : int
-        Messages that were the oldest of too many.
+        Number of messages dropped because too many were waiting.
     refused : int
-        Messages that no daemon publishes (the log has the first, and one every 10 s).
+        Number of messages that no daemon publishes (the log shows the first, and one every 10 s).
     """
 
     def __init__(self, client: Client, host: str, port: int, name: str, topics: Collection[str]) -> None:
@@ -160,12 +160,12 @@ class Listener(Iterator[Message]):
         return message
 
     def get(self, timeout_s: float | None = None) -> Message | None:
-        """The next message; None where none came in time, or it is closed.
+        """The next message; None if none arrives in time or the listener is closed.
 
         Parameters
         ----------
         timeout_s : float, optional
-            To wait for it; without one, until it comes.
+            Longest wait; unlimited by default.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
@@ -182,7 +182,7 @@ class Listener(Iterator[Message]):
                 self._log_refused(error)
 
     def follow(self, topics: Collection[str]) -> None:
-        """Listen to these topics and no others from now on; callable from any thread. Raises ConfigError."""
+        """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
         wanted = self._full(topics)
         with self._came:
             new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
@@ -192,7 +192,7 @@ class Listener(Iterator[Message]):
                     self._client.unsubscribe(sorted(old))
 
     def close(self) -> None:
-        """Disconnect; safe to call twice. Whoever waits is given None."""
+        """Disconnect; safe to call twice. A waiting `get` returns None."""
         with self._came:
             if self._closed:
                 return
@@ -224,7 +224,7 @@ class Listener(Iterator[Message]):
                 raise DeviceError(f"{self._where}: {text}; expected a broker that carries {self._base}", code=code)
 
     def _subscribe(self, topics: Collection[str]) -> None:
-        # With QoS 1 a broker drops what is more than its queue has room for: of many retained messages the most.
+        # With QoS 1 a broker drops messages beyond its queue's size, and so most of many retained ones.
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
         else:
@@ -237,7 +237,7 @@ class Listener(Iterator[Message]):
             _log.warning("%s: %s (%d messages rejected so far)", self._where, error, self.refused)
 
     def _fail(self, text: str, code: ReasonCode) -> None:
-        """Of the first connection it is raised, later it is logged, once until something changes."""
+        """Record a failure: `listen` raises that of the first connection; later ones are logged when they change."""
         with self._came:
             if self._failure != (text, code):
                 self._failure = text, code

@@ -1,4 +1,4 @@
-"""From a topic and its payload to a value, and from a height map to points in mm."""
+"""Decodes a topic's payload to a value, and converts a height map to points in mm."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """One message, decoded.
+    """A decoded message.
 
     Attributes
     ----------
     name : str
-        Of the sensor, or ``hand/`` and that of the hand.
+        The sensor's name, or ``hand/`` and the hand's name.
     part : str
-        The topic below that: ``height``, ``status/camera``.
+        The rest of the topic, such as ``height`` or ``status/camera``.
     value : object
         A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`, `TouchNumbers`, `SlipEvent`,
-        `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; of ``state`` a text, of ``preview``
-        a JPEG's bytes, of other JSON a dict.
+        `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; a string for ``state``, a JPEG's bytes
+        for ``preview``, a dict for other JSON.
     retained : bool
-        The broker had kept it: it was published before this subscription.
+        The broker had retained it from before this subscription.
     """
 
     name: str
@@ -63,7 +63,7 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
     Raises
     ------
     DecodeError
-        It is no topic of a sensor or hand, or the payload is none that a daemon publishes there.
+        The topic is not a sensor's or hand's, or no daemon publishes such a payload there.
     """
     found = _TOPIC.fullmatch(topic)
     if found is None:
@@ -77,13 +77,13 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
 
 
 def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
-    """Where each cell's skin is (the paper's eq. 2, for a pinhole too).
+    """The skin point of each cell (the paper's eq. 2, also for a pinhole camera).
 
     Parameters
     ----------
     height : HeightMessage
     geometry : InfoGeometry
-        Of the same sensor's ``info``.
+        From the same sensor's ``info``.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
     Raises
     ------
     DecodeError
-        The height is of another calibration than the geometry: wait for the next ``info``.
+        The height comes from another calibration than the geometry: wait for the next ``info``.
     """
     if height.calibration_crc32 != geometry.calibration_crc32:
         found = f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"

@@ -1,4 +1,4 @@
-"""The camera that LeRobot makes of a `TacShadeCameraConfig`."""
+"""The camera that LeRobot creates from a `TacShadeCameraConfig`."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _FIND_S: Final = 1.0
 
 
 class TacShadeCamera(Camera):
-    """A sensor's height and shear as RGB (`colours.to_rgb`), received in a thread of its own.
+    """A sensor's height and shear as RGB pictures (`colours.to_rgb`), received in a separate thread.
 
-    A touched sensor has a picture for each frame. An untouched one publishes only ten times a second, and its picture
-    does not change, so `async_read` does not wait for it.
+    A sensor in contact gives a picture per frame. An untouched one publishes only ten times a second, and its picture
+    does not change, so `async_read` does not wait for a new one.
     """
 
     def __init__(self, config: TacShadeCameraConfig) -> None:
@@ -42,12 +42,12 @@ class TacShadeCamera(Camera):
 
     @property
     def is_connected(self) -> bool:
-        """Between `connect` and `disconnect`, also while the broker is away."""
+        """True from `connect` to `disconnect`, even while the broker is unreachable."""
         return self._listener is not None
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Sensors of the broker on this machine."""
+        """The sensors that publish to the broker on this machine."""
         found: list[dict[str, Any]] = []
         try:
             with listen("localhost", "+", ["info"]) as messages:
@@ -61,13 +61,13 @@ class TacShadeCamera(Camera):
         return found
 
     def connect(self, warmup: bool = True) -> None:
-        """Begin to listen, and wait for the first picture if asked for.
+        """Connect to the broker and, with `warmup`, wait for the first picture.
 
         Raises
         ------
         DeviceAlreadyConnectedError
         ConnectionError
-            No broker, it does not let us in, or no sensor publishes a picture within 5 s.
+            The broker is unreachable or rejects the connection, or no picture arrives within 5 s.
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
@@ -97,11 +97,11 @@ class TacShadeCamera(Camera):
                 raise ConnectionError(f"{error}; expected a calibrated sensor of that name") from None
 
     def read(self) -> U8:
-        """The next picture; waits at most a second. Raises TimeoutError, DeviceNotConnectedError."""
+        """Wait at most a second for the next picture. Raises TimeoutError, DeviceNotConnectedError."""
         return self.async_read(timeout_ms=1000)
 
     def async_read(self, timeout_ms: float = 200) -> U8:
-        """The newest picture that was not read yet; of an untouched sensor the newest at once.
+        """Wait for a picture that has not been read yet; for an untouched sensor return the newest at once.
 
         Returns
         -------
@@ -111,7 +111,7 @@ class TacShadeCamera(Camera):
         Raises
         ------
         TimeoutError
-            None came in time.
+            No picture arrived in time.
         DeviceNotConnectedError
         """
         self._check()
@@ -128,9 +128,9 @@ class TacShadeCamera(Camera):
         Raises
         ------
         TimeoutError
-            It is older.
+            The picture is older than `max_age_ms`.
         RuntimeError
-            None has come yet.
+            No picture has arrived yet.
         DeviceNotConnectedError
         """
         self._check()
@@ -142,7 +142,7 @@ class TacShadeCamera(Camera):
             return self._latest
 
     def disconnect(self) -> None:
-        """Listen no more. Raises DeviceNotConnectedError."""
+        """Disconnect from the broker. Raises DeviceNotConnectedError."""
         self._check()
         listener, self._listener = self._listener, None
         if listener is not None:
@@ -155,7 +155,7 @@ class TacShadeCamera(Camera):
             raise DeviceNotConnectedError(f"{self} is not connected")
 
     def _readable(self) -> bool:
-        """With the lock."""
+        """Whether `async_read` can return a picture now; call it with the lock held."""
         recent = time.monotonic() - self._latest_s < 2 * _POLL_S
         return self._latest is not None and (self._fresh or (not self._touched and recent))
 
@@ -165,7 +165,7 @@ class TacShadeCamera(Camera):
             try:
                 picture = pictures.add(message)
             except DecodeError:
-                continue  # what belongs together does not fit: no picture
+                continue  # the frame's messages do not match: no picture
             if picture is not None:
                 picture.setflags(write=False)
                 with self._came:

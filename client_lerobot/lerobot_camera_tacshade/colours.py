@@ -1,4 +1,4 @@
-"""Height and shear as a picture that an image encoder learns from, and back. Pure."""
+"""Converts height and shear to a picture for an image encoder, and back. Pure."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 
 STEP_MM: Final = 0.025
-"""Of one grey level, in all channels."""
+"""Length per grey level in mm, in all channels."""
 _HEIGHT_ZERO, _SHEAR_ZERO = 1, 128
 
 
 def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
-    """Colours of a height map and its shear.
+    """The RGB picture of a height map and its shear.
 
     Parameters
     ----------
     height_mm : float32 (rows, cols)
-        NaN outside the visible circle; 0 to 6.35 mm, clipped to that.
+        NaN outside the visible circle; clipped to 0 to 6.35 mm.
     shear_mm : float32 (rows, cols, 2) or None
-        Along x and y, within ±3.175 mm, clipped to that; None is no shear.
+        Along x and y, clipped to ±3.175 mm; None means no shear.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
 
 
 def to_mm(picture: U8) -> tuple[F32, F32]:
-    """The inverse of `to_rgb`, to half of `STEP_MM` within its ranges.
+    """The height and shear in a picture of `to_rgb`, within its ranges accurate to half of `STEP_MM`.
 
     Parameters
     ----------

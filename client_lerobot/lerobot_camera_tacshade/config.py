@@ -1,4 +1,4 @@
-"""What LeRobot's command line and files say of such a camera."""
+"""The settings of the camera in LeRobot's command line and files."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class TacShadeCameraConfig(CameraConfig):
     Attributes
     ----------
     sensor : str
-        Its ``sensor_id``.
+        The ``sensor_id``.
     broker : str
         ``HOST`` or ``HOST:PORT``.
     username, password_file : str or None
-        For a broker that asks; the password is the file's first line.
+        For a broker that requires a login; the password is the file's first line.
     ca_file : str or None
-        TLS is used when given: the authority that signed the broker's certificate.
+        Certificate of the authority that signed the broker's certificate; turns TLS on.
     width, height : int
-        Of the picture; equal, since the visible circle fills it.
+        Size of the picture in px; equal, because the visible circle fills it.
     fps : int
-        LeRobot requires it of a robot's camera and copies it; the daemon decides how often there is a picture.
+        Required and copied by LeRobot; the daemon determines the actual rate of pictures.
     """
 
     sensor: str

@@ -1,4 +1,4 @@
-"""From a sensor's messages to pictures of one size, whatever grid the sensor computes on."""
+"""Turns a sensor's messages into pictures of one size, whatever the sensor's grid."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ F64 = npt.NDArray[np.float64]
 
 TOPICS: Final = ("info", "height", "shear", "contact")
 REACH: Final = 1.02
-"""Half the picture's side, in radii of the visible circle: as of the daemon's own square of 112 x 112 cells."""
+"""Half the picture's side in radii of the visible circle, as in the daemon's own square of 112 x 112 cells."""
 
 
 class Pictures:
-    """Puts the messages of a frame together: ``contact`` comes last, and a frame without contact has nothing else.
+    """Combines the messages of each frame: ``contact`` comes last, and is the only one in a frame without contact.
 
     Parameters
     ----------
     size_px : int
-        Of the square picture.
+        Side of the square picture.
 
     Attributes
     ----------
     passed_over : int
-        Frames in contact of which something had not come, or that the sensor could not use.
+        Number of frames with a missing message, or that the sensor could not use.
     """
 
     def __init__(self, size_px: int) -> None:
@@ -39,7 +39,7 @@ class Pictures:
         self.passed_over = 0
 
     def add(self, message: Message) -> U8 | None:
-        """Take a message; the picture (size, size, 3) of the frame that it completes, or None."""
+        """Add a message; return the picture (size, size, 3) of the frame that it completes, or None."""
         match message.value:
             case Info(geometry=geometry):
                 self._geometry = geometry
@@ -73,13 +73,13 @@ class Pictures:
 
 
 def _pixels(geometry: InfoGeometry, size_px: int) -> tuple[F64, F64]:
-    """Image rows and columns of the picture's cells, (size,) each."""
+    """The image rows and columns of the picture's cells in px, (size,) each."""
     along = (np.arange(size_px) + 0.5 - size_px / 2) * (2 * REACH * geometry.radius_px / size_px)
     return np.asarray(geometry.row_c + along, np.float64), np.asarray(geometry.col_c + along, np.float64)
 
 
 def _untouched(geometry: InfoGeometry, size_px: int) -> F32:
-    """0 inside the visible circle, NaN outside: float32 (size, size)."""
+    """A height map of the untouched skin, float32 (size, size): 0 inside the visible circle, NaN outside."""
     rows, cols = _pixels(geometry, size_px)
     away = np.hypot((rows - geometry.row_c)[:, None], (cols - geometry.col_c)[None, :])
     return np.where(away <= geometry.radius_px, np.float32(0), np.float32(np.nan))
@@ -88,12 +88,12 @@ def _untouched(geometry: InfoGeometry, size_px: int) -> F32:
 def _cells(
     height: HeightMessage, geometry: InfoGeometry, size_px: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """The nearest cell of a height map for each of the picture's, as an index."""
+    """An index of the height map's nearest cell for each of the picture's cells."""
     found = []
     for pixels, first, count in zip(
         _pixels(geometry, size_px), (height.row0, height.col0), height.height_mm.shape, strict=True
     ):
-        # An even enlargement falls between two cells: the same one everywhere, whatever the last bit is.
+        # With an even enlargement a pixel falls between two cells; choose the same one regardless of rounding.
         nearest = np.rint((pixels - first) / height.step_px - 1e-6).astype(np.intp)
         found.append(np.clip(nearest, 0, count - 1))
     return np.ix_(*found)  # type: ignore[return-value]

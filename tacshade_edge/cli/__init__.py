@@ -19,7 +19,7 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "run the daemon: camera to height maps over MQTT"),
-    "demo": ("demo", "show a simulated hand live in a browser; needs no sensor"),
+    "demo": ("demo", "show simulated sensors live in a browser; needs no sensor"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "doctor": ("doctor", "diagnose the camera, broker, serial ports and clock, and suggest fixes"),
     "capture": ("capture", "take a sensor's references and presses, step by step; start here with a new sensor"),

@@ -1,4 +1,4 @@
-"""Named settings of the reconstruction: one trade of speed for accuracy each."""
+"""Named settings of the reconstruction, each a trade of speed against accuracy."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from tacshade_edge.core.geometry import disc_map
 
 AUTO = "auto"
-"""In a profile's place: the daemon steps between those of `LADDER` by a latency budget."""
+"""In place of a profile: the daemon switches between those of `LADDER` by a latency budget."""
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """What a name stands for.
+    """The settings behind a name.
 
     Attributes
     ----------
@@ -21,24 +21,24 @@ class Profile:
     solver : str
         Key of ``core.depth.SOLVERS``.
     network : str or None
-        Name of the weights that the solver runs; None where it runs none.
+        Name of the solver's network; None if it has none.
     stride_px : int
-        Stride of eq. 1 and so of every map after it.
+        Stride of eq. 1, and so of every later map.
     window_pitches : int
-        Side of eq. 1's window, in marker pitches; whole, so that the pattern itself averages out.
+        Side of eq. 1's window in whole marker pitches, so that the pattern itself averages out.
     tv_weight : float
-        Weight of the total-variation denoising, in units of g/255; 0 leaves it out.
+        Weight of the total-variation denoising, in units of g/255; 0 for none.
     gate_levels : float
-        Least change of grey that opens the contact gate. A solver that finds the contact itself took no glare for
-        one, so its gate only has to stay shut for the dent that a release leaves (14.7 for 99 % of those of 0.2 mm).
+        Least change of grey that opens the contact gate. A solver that finds the contact itself never took glare for
+        one, so its gate only has to stay closed for the dent after a release (at most 14.7 in 99 % of those of 0.2 mm).
     gate_dark_levels : float
-        Least change away from contact that opens it too, inf for none: the rim of a contact darkens also where a sensor
-        hardly brightens (of 885 presses of 1.5 mm the other level missed 4; their rims were 10.8 or more below, what a
-        release of 0.2 mm leaves 8.7 at most).
+        Least change away from contact that also opens the gate, inf for none: the rim of a contact darkens even if a
+        sensor hardly brightens (of 885 presses of 1.5 mm the other level missed 4, whose rims were at least 10.8 below;
+        a release of 0.2 mm leaves at most 8.7).
     halved : bool
-        Work on means over 2x2 px, where the pattern is coarse enough (`core.image.halving`).
+        Work on means over 2x2 px if the pattern is coarse enough (`core.image.halving`).
     cells : int
-        Along a side of the map that a network works on.
+        Number of cells along a side of the network's map.
     """
 
     name: str
@@ -54,9 +54,9 @@ class Profile:
 
 
 DEFAULT = "balanced"
-"""What a user gets who names none."""
+"""The profile if the user names none."""
 
-# Eq. 1 serves the gate of the learned ones only.
+# For learned profiles, eq. 1 serves only the gate.
 _LEARNED = Profile(
     "accurate",
     "learned",
@@ -78,4 +78,4 @@ PROFILES: dict[str, Profile] = {
 }
 
 LADDER: tuple[str, ...] = tuple(name for name in ("accurate", "balanced", "fast") if name in PROFILES)
-"""What `AUTO` steps between, the most accurate and dearest first."""
+"""The profiles of `AUTO`, the most accurate and slowest first."""

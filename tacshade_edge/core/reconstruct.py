@@ -1,4 +1,4 @@
-"""One frame to one reconstruction: reads as section IV of the paper."""
+"""Reconstruct one frame, in the order of section IV of the paper."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from tacshade_edge.types import (
 )
 
 STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")
-"""All that a step may mark, in order; a stage that did not run is not marked."""
+"""All stages that a step may mark, in order; it does not mark a stage that did not run."""
 
 FindObjects = Callable[[Bool, F32, F32 | None, DiscRays, Geometry], Objects | None]
-"""Of `core.contact.objects.find_objects`."""
+"""The signature of `core.contact.objects.find_objects`."""
 
 
 def no_mark(stage: str) -> None:
@@ -52,9 +52,9 @@ def no_mark(stage: str) -> None:
 
 
 class Reconstructor:
-    """Turns frames of one calibrated sensor into reconstructions, deterministically.
+    """Reconstructs frames of one calibrated sensor, deterministically.
 
-    Each frame is judged by itself; but one that shows the untouched skin of a frame before it is judged as that was
+    Each frame is independent, except that one with the untouched skin of an earlier frame gets that frame's result
     (`frame_check.unchanged`).
 
     Parameters
@@ -62,19 +62,19 @@ class Reconstructor:
     calibration : Calibration
     profile : Profile
     network : Network, optional
-        That of the profile, where it names one.
+        The profile's network, if it names one.
     make_solver : callable, optional
-        In place of the profile's solver.
+        Replaces the profile's solver.
     find_objects : callable
-        Distinguishes what touches.
+        Finds the objects in contact.
     touch : TouchModel, Reason, list or None
-        The profile's, or why it cannot be used; without one a touch is what map and shear say of it. A list takes the
-        features of each touch that is asked for, to learn from.
+        The profile's model, or the reason why it cannot be used; without a model, map and shear give the touch. A list
+        collects the features of each requested touch for learning.
 
     Attributes
     ----------
     grid, rays
-        Of every height map, in the camera's pixels.
+        Grid and rays of every height map, in the camera's pixels.
     """
 
     def __init__(
@@ -121,10 +121,10 @@ class Reconstructor:
         ----------
         frame : Frame
         mark : callable
-            Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
+            Called with a stage's name (`STAGES`) at its end, so that a caller with a clock can time it.
         need : Need
-            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one. Without ``SHEAR``,
-            ``SIGMA`` and ``TOUCH`` a frame in contact has none.
+            With ``CONTACT``, a frame in contact returns None instead of a depth. Without ``SHEAR``, ``SIGMA`` or
+            ``TOUCH``, a frame in contact has no such value.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape)
@@ -165,7 +165,7 @@ class Reconstructor:
                 shear_mm += self._zero_mm[..., None]
             mark("shear")
 
-        # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
+        # The map without contact, 0 or NaN, adds NaN outside the disc.
         height_mm = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm)) + self._zero_mm
         contact = contact_of(depth, self.rays.inside)
         objects = self._find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
@@ -181,7 +181,7 @@ class Reconstructor:
         return self._with_touch(whole, features, mark) if Need.TOUCH in need else whole
 
     def depth(self, image: U8) -> Depth:
-        """What the solver makes of an image, without frame check and gate."""
+        """The solver's depth for an image, without frame check and gate."""
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
 
     def _with_touch(self, made: Reconstruction, features: list[F32] | None, mark: Mark) -> Reconstruction:
@@ -239,7 +239,7 @@ class Reconstructor:
         )
 
     def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:
-        """No contact, or no valid frame: exactly 0 inside the disc."""
+        """The reconstruction without contact or of an invalid frame: exactly 0 inside the disc."""
         return Reconstruction(
             seq=frame.seq,
             t_ns=frame.t_ns,
@@ -267,6 +267,6 @@ def step_and_track(
     mark: Mark = no_mark,
     need: Need = Need.ALL,
 ) -> Reconstruction | None:
-    """Reconstruct a frame as `Reconstructor.step`, and follow its objects; without a tracker it is no stream's."""
+    """Reconstruct a frame with `Reconstructor.step`, and track its objects unless `tracker` is None."""
     made = reconstructor.step(frame, mark, need)
     return made if tracker is None or made is None or not made.valid else follow(tracker, made)

@@ -1,1 +1,1 @@
-"""The only place with threads and wiring."""
+"""The only package with threads and wiring."""

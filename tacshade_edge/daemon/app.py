@@ -1,4 +1,4 @@
-"""The daemon: the only place that wires source, reconstructor and broker, and the main thread's loop.
+"""The daemon: the only module that wires source, reconstructor and broker together, and the main thread's loop.
 
 docs/explanation/architecture.md lists the threads and the queues between them.
 """
@@ -66,12 +66,12 @@ EVENTS_MAX = 16
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Someone wants the daemon to end."""
+    """A request to stop the daemon."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reload:
-    """Someone wants the settings to be read again."""
+    """A request to read the settings again."""
 
 
 Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded | Stepped
@@ -85,7 +85,7 @@ class App:
     document : Document
     source : FrameSource
     calibration : Calibration or Reason
-        Or why there is none yet: only the camera's picture is served until `reload` finds one.
+        Or the reason that there is none yet: until `reload` finds one, only the camera's picture is published.
     siblings : Siblings
         Lines to the other processes of the same daemon.
 
@@ -149,11 +149,11 @@ class App:
         self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
 
     def stop(self) -> None:
-        """Ask `run` to end; may be called from any thread and from a signal handler."""
+        """Make `run` end; any thread and a signal handler may call it."""
         self._events.put(Stop())
 
     def reload(self) -> None:
-        """Ask `run` to read the settings and the calibration again; callable like `stop`."""
+        """Make `run` read the settings and the calibration again; callable like `stop`."""
         self._events.put(Reload())
 
     def run(self) -> None:
@@ -164,9 +164,9 @@ class App:
         ConfigError
             The source can never work.
         BaseException
-            Whatever left a thread: the broker then publishes the last will.
+            The exception that ended a thread; the broker then publishes the last will.
         """
-        # OpenCV's other threads spin between a frame's small images: a third of what it costs, for no time won.
+        # OpenCV's other threads spin between a frame's small images: they take a third of its CPU time and save none.
         cv2.setNumThreads(1)
         share_free_memory()
         return_free_memory()
@@ -223,7 +223,7 @@ class App:
                     return
 
     def _reload(self) -> None:
-        """Take over what the settings file says now; nothing changes when it is bad."""
+        """Apply what the settings file says now; if it is bad, change nothing."""
         self._service.reloading()
         try:
             new = reload(self._document, calibrated=self._missing() is None)
@@ -247,12 +247,12 @@ class App:
         self._service.reloaded(note)
 
     def _missing(self) -> Reason | None:
-        """Why there is no calibration; None when there is one."""
+        """Why there is no calibration; None if there is one."""
         reconstructor = self._active.reconstructor
         return reconstructor if isinstance(reconstructor, Reason) else None
 
     def _look_for_calibration(self) -> None:
-        """Where there is none, take up one that has come; what cannot be used is reported once."""
+        """If there is no calibration, use one that has appeared; an unusable one is reported once."""
         if self._missing() is None:
             return
         try:
@@ -264,7 +264,7 @@ class App:
             self._reload()
 
     def _shut_down(self) -> None:
-        """Finish what is on its way, account for the rest, say goodbye."""
+        """Finish what is in progress, account for the rest, publish the end and disconnect."""
         began_s = time.monotonic()
 
         def left_s(due_s: float) -> float:
@@ -282,12 +282,12 @@ class App:
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
     def _give_up_frames(self, timeout_s: float) -> None:
-        """Those that are still on their way then."""
+        """Settle the frames that are still in progress then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
             _log.warning("stopped before %d frames could be sent", given_up)
 
-    # What other threads call: count or enqueue, nothing else.
+    # Other threads call these: they count or enqueue and do nothing else.
 
     def _on_request(self, request: Request) -> None:
         if self._events.qsize() >= EVENTS_MAX:
@@ -304,17 +304,17 @@ class App:
         if stream == "height":
             self.ledger.settle(seq, "failed" if outcome == "refused" else outcome)
 
-    # What changes.
+    # Changes of the reconstructor.
 
     def _changed(self) -> None:
-        """The reconstructor was replaced."""
+        """Record and publish that the reconstructor was replaced."""
         reconstructor = self._active.reconstructor
         if not isinstance(reconstructor, Reason):
             self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
         self._publish_info()
 
     def _follow(self) -> None:
-        """Use the reference as far as it followed; say why when it does not."""
+        """Use the reference as far as it has followed; publish the reason if it does not follow."""
         running, calibration = self._active.reconstructor, self._references.calibration
         if isinstance(running, Reason) or running.calibration is calibration:
             self._publish_info()
@@ -326,10 +326,10 @@ class App:
     def _on_record(self, request: Request, reconstructor: Reconstructor) -> None:
         self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
 
-    # What is published.
+    # Publishing.
 
     def _camera_now(self) -> SourceState:
-        """The source's state, with what only the clock and the reconstruction show: a stall, unusable frames."""
+        """The source's state, including what only the clock and the reconstruction show: a stall, unusable frames."""
         silent_s = (time.monotonic_ns() - self._pipeline.grab.last_frame_ns) / 1e9
         if self._camera.state == "streaming" and silent_s > STALL_S:
             stalled = Reason(ReasonCode.STALLED, f"no frame for more than {STALL_S:.0f} s")
@@ -352,7 +352,7 @@ class App:
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
     def _log_camera(self, camera: SourceState) -> None:
-        """Warn of a source that is away or useless; all else is only worth a line."""
+        """Log a warning for a source that is away or unusable, and a line of information for any other state."""
         reason = camera.reason
         if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
             _log.info("source %s%s", camera.state, f": {reason}" if reason else "")

@@ -1,4 +1,4 @@
-"""What a daemon has only with the settings for it, imported only then: robot, stitching sessions, hand."""
+"""The parts that a daemon has and imports only if the settings need them: robot, stitching sessions, hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Siblings:
-    """A sensor's lines to the other processes of its daemon: to its hand, and for the robot's line that they share."""
+    """A sensor's lines to the other processes of its daemon: to its hand, and for a robot's line that they share."""
 
     hand: FingerLine | None = None
     robot: SharedLine | None = None
@@ -39,18 +39,18 @@ ALONE: Final = Siblings()
 
 @dataclass(frozen=True, slots=True)
 class OptionalParts:
-    """The parts that a daemon's settings ask for.
+    """The parts that a daemon's settings need.
 
     Attributes
     ----------
     before_publishing, after_publishing : tuple of FrameObserver
-        Who sees a frame before it is published, and who sees it after.
+        Parts that see a frame before it is published, and parts that see it after.
     posed : callable or None
-        Gives a frame the pose that is known at once.
+        Adds the pose that is known at once to a frame.
     interpolated : callable or None
-        Gives a frame its pose, for which it waits a moment.
+        Adds the pose to a frame after waiting a moment for it.
     verbs : mapping of str to callable
-        Does and answers requests of these verbs.
+        Carry out and answer the requests with these verbs.
     """
 
     before_publishing: tuple[FrameObserver, ...]
@@ -69,14 +69,14 @@ def make_optional_parts(
     status: Callable[[], dict[str, Any]],
     missing: Callable[[], Reason | None],
 ) -> OptionalParts:
-    """Make them; `reply`, `ask`, `status` and `missing` are those of `Robot` and `SessionRequests`."""
+    """Make the parts; for `reply`, `ask`, `status` and `missing` see `Robot` and `SessionRequests`."""
     robot: Robot | None = None
     sessions: SessionRequests | None = None
     finger: FingerReporter | None = None
     follows = siblings.robot is not None and siblings.robot.hears is not None
     port = None if follows else ports.make_serial_port(settings.serial)
     if port or follows:
-        from tacshade_edge.daemon.robot.robot import Robot  # and pyserial
+        from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
 
         publish = partial(link.set_retained, "status/serial")
         robot = Robot(port, ask, status, publish, missing, siblings.robot)
@@ -90,7 +90,7 @@ def make_optional_parts(
 
         finger = FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor))
     return OptionalParts(
-        # Before: whoever sees a contact may begin a session.
+        # Before, since a subscriber that sees a contact may begin a session.
         before_publishing=(sessions,) if sessions else (),
         after_publishing=tuple(part for part in (finger, robot) if part),
         posed=robot.with_pose if robot else None,

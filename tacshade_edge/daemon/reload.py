@@ -1,4 +1,4 @@
-"""Which settings can change while the daemon runs, and which wait for a restart."""
+"""Which settings can change while the daemon runs, and which need a restart."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What a settings file says now, as far as a running daemon can follow.
+    """The settings file's present content, as far as a running daemon can apply it.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Reloaded:
 
     @property
     def reason(self) -> Reason | None:
-        """Why not all of it is in use; None when it is."""
+        """Why not all of it is in use; None if all is."""
         if not self.waiting:
             return None
         return Reason(ReasonCode.RESTART, f"restart to use the new {' and '.join(self.waiting)}")
@@ -47,12 +47,12 @@ def reload(running: Document, *, calibrated: bool) -> Reloaded:
     ----------
     running : Document
     calibrated : bool
-        There was a calibration, and there must be one.
+        Whether there was a calibration, so that there must be one.
 
     Raises
     ------
     ConfigError
-        They are bad, or the calibration does not fit the running source.
+        The settings are bad, or the calibration does not fit the running source.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
     checks.check_files(new)

@@ -1,4 +1,4 @@
-"""What ``req/<verb>`` does; runs in the main thread."""
+"""Handles ``req/<verb>``; runs in the main thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 REFERENCE_TIMEOUT_S = 5.0
 
 Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
-"""``reply(request, outcome)``: what it gave, or why it was not done."""
+"""``reply(request, outcome)``: the result, or the reason that there is none."""
 
 
 class Requests(FrameObserver):
@@ -39,13 +39,13 @@ class Requests(FrameObserver):
         Changed by `reference`.
     reply : Reply
     status : callable
-        The answer to ``status``.
+        Returns the answer to ``status``.
     changed : callable
         Called after the reconstructor was replaced.
     record : callable
-        Does and answers the verb of its name, with what reconstructs now.
+        Carries out and answers the verb ``record``, with the present reconstructor.
     others : mapping of str to callable
-        Does and answers verbs that only some daemons have.
+        Carry out and answer verbs that only some daemons have.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class Requests(FrameObserver):
         self._taken: list[U8] | Reason | None = None  # set by the reconstruct thread, once
 
     def handle(self, request: Request) -> None:
-        """Do or refuse one request."""
+        """Carry out or refuse one request."""
         reconstructor = self._active.reconstructor
         if request.verb == "status":
             self._reply(request, self._status())
-        elif request.verb == "replay":  # of `replay --play` only
+        elif request.verb == "replay":  # only `replay --play` accepts it
             self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "this daemon plays no recording"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
@@ -91,7 +91,7 @@ class Requests(FrameObserver):
             self._take_reference(request)
 
     def need(self) -> Need:
-        """All frames, while a reference is taken."""
+        """Depth of all frames while a reference is taken."""
         return Need.CONTACT if self._collector is None else Need.DEPTH
 
     def see(self, seen: FrameResult) -> None:
@@ -100,7 +100,7 @@ class Requests(FrameObserver):
             collector.see(seen.frame, seen.reconstruction)
 
     def poll(self) -> None:
-        """Finish a reference that was taken, or that nothing came for."""
+        """Finish a reference that was taken or that timed out."""
         if self._reference is None:
             return
         request, deadline_s = self._reference

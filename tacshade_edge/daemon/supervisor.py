@@ -1,10 +1,10 @@
-"""Several sensors on one machine: a process for each, forked from this one, which starts it again when it ends.
+"""Several sensors on one machine: one process for each, forked from this one, which restarts those that end.
 
-Where they are the fingers of a hand, the hand has a process too (`daemon.hand.process`).
+If they are the fingers of a hand, the hand has a process too (`daemon.hand.process`).
 
-Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md);
-and what happens in one, however bad, happens in no other. This process has no thread and does nothing with frames. It
-is the service manager of its sensors and speaks with the real one for all: each gets a ``NOTIFY_SOCKET`` of ours.
+Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md),
+and no failure of one, however bad, reaches another. This process has no thread and does nothing with frames. It is its
+sensors' service manager and speaks to the real one for all of them: each gets a ``NOTIFY_SOCKET`` of ours.
 """
 
 from __future__ import annotations
@@ -33,36 +33,36 @@ _log = logging.getLogger(__name__)
 
 RESTART_S, RESTART_MAX_S = 1.0, 60.0
 STEADY_S = 30.0
-"""Who ends before it is so old waits twice as long as the last time."""
+"""A part that ends before it is this old waits twice as long as the last time."""
 WATCHDOG_S, ABORT_S = 10.0, 5.0
-"""Silence after which a sensor's process is asked to say where it hangs, and time for that before it is killed."""
+"""Silence after which a process is aborted to report where it hangs, and time for that before it is killed."""
 TICK_S = 1.0
 EXIT_CONFIG = 78
 EXIT_STOPPED = 128 + signal.SIGTERM
-"""Of a part that a signal has stopped; 0 is the end of a finite source, which is not started again."""
+"""Exit code of a part that a signal stopped; 0 is the end of a finite source, which is not restarted."""
 _PR_SET_PDEATHSIG = 1
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """A sensor, or the hand, and its process.
+    """A sensor or the hand, and its process.
 
     Attributes
     ----------
     of : Document or Hand
     pid : int
-        0 while there is none.
+        0 while there is no process.
     ready : bool
-        It came up, or ended, since the supervisor started.
+        Whether it has come up, or ended, since the supervisor started.
     heard_s : float or None
-        When it last said that it works; None where it is not watched.
+        When it last reported that it works; None if it is not watched.
     again_s : float or None
-        When it is to be started again; None where it is not.
+        When to start it again; None for not at all.
     began_s : float
-        When it was started.
+        When it was last started.
     wait_s : float
-        Before its latest start, after an end; 0 where it had none.
+        Wait before its latest start, if that followed an end; else 0.
     """
 
     of: Document | Hand
@@ -83,15 +83,15 @@ class _Part:
 
 
 class Supervisor:
-    """Keeps a process for each sensor, and for the hand that they are.
+    """Keeps a process running for each sensor, and for the hand that they form.
 
     Parameters
     ----------
     documents : sequence of Document
-        Of one file.
+        The sensors of one settings file.
     hand : Hand or None
     ended : callable
-        Gets the id of a sensor whose process has ended.
+        Receives the id of a sensor whose process has ended.
     """
 
     def __init__(
@@ -109,12 +109,12 @@ class Supervisor:
         self._stopping_s: float | None = None
 
     def run(self) -> Document | Hand | int:
-        """Keep them until a signal ends all, or no sensor is left to start again.
+        """Run the processes until a signal ends all, or no sensor is left to restart.
 
         Returns
         -------
-        In a sensor's process its document, in the hand's the hand; in this one the exit code: 78 where no sensor's
-        settings can work, else 0.
+        In a sensor's process its document, in the hand's process the hand; in this process the exit code: 78 if no
+        sensor's settings can work, else 0.
         """
         reader, writer = socket.socketpair()
         reader.setblocking(False)
@@ -124,12 +124,12 @@ class Supervisor:
         wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         self._selector.register(reader, selectors.EVENT_READ)
         for part in self._sensors:
-            if isinstance(part.of, Document):  # here, since each that loads it by itself has it for itself
+            if isinstance(part.of, Document):  # here, so that the processes share its memory
                 preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
-        "localhost".encode("idna")  # what finds a broker by name; 2 MB with its tables
+        "localhost".encode("idna")  # the codec that a broker's name needs; 2 MB with its tables
         installed_version()
         gc.collect()
-        gc.freeze()  # the collector would write to every page, and so copy it
+        gc.freeze()  # else the collector writes to every page and so copies it
 
         def let_go() -> None:
             signal.set_wakeup_fd(wakeup)
@@ -171,11 +171,11 @@ class Supervisor:
             self._reap()
 
     def _start(self, part: _Part, let_go: Callable[[], None]) -> bool:
-        """Fork; True in this process."""
+        """Fork; return True in this process."""
         part.again_s = part.heard_s = part.aborted_s = None
         part.status, part.began_s = "starting", time.monotonic()
         parent = os.getpid()
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # one for the new process would be taken for ours
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # else one for the child reaches us
         try:
             try:
                 part.pid = os.fork()
@@ -184,19 +184,19 @@ class Supervisor:
                 return True
             if part.pid:
                 return True
-            # A group of its own: where this process is killed, the kernel wakes a stopped group that it leaves behind.
+            # Its own group: if this process is killed, the kernel wakes a stopped group that it leaves behind.
             os.setpgid(0, 0)
             os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
             let_go()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:  # it ended just now
+        if os.getppid() != parent:  # the parent has just ended
             os._exit(0)
         return False
 
     def _hear(self, part: _Part) -> None:
-        """Take a message that a part's process means for the service manager."""
+        """Take a message from a part's process to the service manager."""
         with contextlib.suppress(OSError):
             for line in part.notices.recv(4096).decode(errors="replace").split("\n"):
                 key, _, value = line.partition("=")
@@ -215,7 +215,7 @@ class Supervisor:
             self._reload()
 
     def _stop(self) -> None:
-        """End all, once."""
+        """Stop all parts, once."""
         if self._stopping_s is not None:
             return
         self._stopping_s = time.monotonic()
@@ -225,7 +225,7 @@ class Supervisor:
             _signal(part, signal.SIGTERM)
 
     def _reload(self) -> None:
-        """Have each part read the file again; start those that ended over their settings."""
+        """Make each part read the file again; start those that ended because of their settings."""
         notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
             documents = load_all(self._path)
@@ -247,7 +247,7 @@ class Supervisor:
         notify("READY=1")
 
     def _watch(self, now_s: float) -> None:
-        """End what hangs."""
+        """End the processes that hang."""
         for part in self._parts:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)
@@ -260,7 +260,7 @@ class Supervisor:
                 _signal(part, signal.SIGKILL)
 
     def _reap(self) -> None:
-        """Decide what follows on a process that ended."""
+        """Decide what follows the end of a process."""
         for part in self._parts:
             if not part.pid:
                 continue
@@ -288,7 +288,7 @@ class Supervisor:
         _log.error("%s: %s", part.name, part.status)
 
     def _report(self) -> None:
-        """Status and watchdog, for all; readiness once each part came up or ended."""
+        """Send status and watchdog messages for all, and readiness once each part has come up or ended."""
         if not self._reported_ready and all(part.ready for part in self._parts):
             self._reported_ready = True
             notify("READY=1")
@@ -304,12 +304,12 @@ class Supervisor:
 
 
 def name_of(part: Document | Hand) -> str:
-    """A sensor's id, or the hand's, which no sensor can have."""
+    """A sensor's id, or the hand's name, which no sensor can have."""
     return f"hand/{part.hand_id}" if isinstance(part, Hand) else part.settings.sensor_id
 
 
 def _notice_socket() -> socket.socket:
-    """For one part's messages, at a name that the kernel chooses."""
+    """A socket for one part's messages, at a name that the kernel chooses."""
     notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     notices.bind("")
     notices.setblocking(False)

@@ -1,6 +1,6 @@
-"""Messages to the service manager; without one nothing happens here.
+"""Messages to the service manager; without one, nothing happens here.
 
-The messages and their way are those of sdnotify(3); docs/how-to/service.md lists when each is sent.
+sd_notify(3) defines the messages and their transport; docs/how-to/service.md lists when each is sent.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from tacshade_edge.reasons import Reason
 _log = logging.getLogger(__name__)
 
 STOP_USEC = 10_000_000
-"""A stop is over in 2 s; a board that is starved of time gets this much before it is killed."""
+"""A stop takes 2 s; a board that is short of CPU time gets this much before it is killed."""
 
-_SEND_S = 1.0  # for a manager that does not read
+_SEND_S = 1.0  # timeout for a manager that does not read
 
 
 class Progress:
-    """Whether work was done since the last question: what a watchdog may be fed with."""
+    """Whether work was done since the last call, so that the watchdog may be fed."""
 
     def __init__(self, grab: Grab, reconstruct: Reconstruct) -> None:
         self._grab = grab
@@ -32,14 +32,14 @@ class Progress:
         self._stages = self._attempts = 0
 
     def made(self, degraded: bool) -> bool:
-        """Stages of frames have ended; or, where `degraded`, attempts to get some were made and no frame hangs.
+        """Whether stages of frames have ended, or, if `degraded`, attempts to get frames were made and none hangs.
 
         Parameters
         ----------
         degraded : bool
             Whether the daemon has published that no usable frames come.
         """
-        # Before `taken`, so that a frame that comes in between cannot look like one that is done.
+        # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
         processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
         hanging = self._reconstruct.taken > processed
         made = stages > self._stages or (degraded and attempts > self._attempts and not hanging)
@@ -55,16 +55,16 @@ class Service:
         self._note: Reason | None = None
 
     def ready(self) -> None:
-        """Settings and calibration are loaded, and the threads run."""
+        """Report that settings and calibration are loaded and the threads run."""
         notify("READY=1")
 
     def tick(self, source: SourceState, fps: float) -> None:
-        """Report the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
+        """Report the status; feed the watchdog if there was progress. Call it at least twice per ``WatchdogSec``.
 
         Parameters
         ----------
         source : SourceState
-            As it was published.
+            As published.
         fps : float
             Frames delivered per second.
         """
@@ -75,25 +75,25 @@ class Service:
             notify("WATCHDOG=1")
 
     def reloading(self) -> None:
-        """A reload begins; `reloaded` must follow."""
+        """Report that a reload begins; `reloaded` must follow."""
         notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def reloaded(self, note: Reason | None) -> None:
-        """A reload is over; `note` stays in the status until the next."""
+        """Report that a reload is over; `note` stays in the status until the next."""
         self._note = note
         notify("READY=1", f"STATUS={note or 'reloaded'}")
 
     def stopping(self) -> None:
-        """A stop begins; from here on the manager's time limit counts, not the watchdog's."""
+        """Report that a stop begins; from now on the manager's time limit counts, not the watchdog's."""
         notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
 
 
 def notify(*lines: str) -> None:
-    """Send lines of ``NAME=value`` to the service manager, where there is one."""
+    """Send lines of ``NAME=value`` to the service manager, if there is one."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
-    message = "\n".join(map(escaped, lines)).encode()  # a line end in a reason would be another message
+    message = "\n".join(map(escaped, lines)).encode()  # a line end in a reason would begin another message
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
             sender.settimeout(_SEND_S)

@@ -1,1 +1,1 @@
-"""From settings to what they name: sources, ports, links, calibrations."""
+"""Builds what the settings name: sources, ports, links, calibrations."""

@@ -1,7 +1,7 @@
-"""Calibrations as every command loads them.
+"""Loads calibrations for every command.
 
-One of another version of the program is made again from what it keeps. Its fitted weights stay while the layout of the
-shipped network does; where it does not, the shipped network runs.
+A file of another version of the program is recalibrated from the images that it keeps. Its fitted weights stay if the
+shipped network still has their layout; otherwise the shipped network runs.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ _log = logging.getLogger(__name__)
 
 
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
-    """Load a calibration, made again if it is of another version and keeps what it was made of.
+    """Load a calibration; one of another version is recalibrated if it keeps its images.
 
-    It has those fitted networks that can run; the log names the others.
+    The result has the fitted networks that can run; the log names the others.
 
     Parameters
     ----------
     path : str
     store : bool
-        Write what was made again in its place, and keep the old file beside it.
+        Replace the file by a recalibrated one, and keep the old file next to it.
 
     Raises
     ------
     ConfigError
-        It cannot be used.
+        The file cannot be used.
     """
     version = calibration_file.version_of(path)
     inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
     if version is None or inputs is None:
         return _running(path, calibration_file.load(path))
-    from tacshade_edge.core.calibration.recalibration import make_again  # once in an update's life
+    from tacshade_edge.core.calibration.recalibration import make_again  # needed only after an update
 
     _log.warning(
         "%s: found version %s, expected %d; recalibrating from its images", path, version, calibration_file.VERSION
@@ -64,7 +64,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
 
 
 def of_recording(recording: Path) -> Calibration | None:
-    """A recording's own, which is never written; None where it has none. Raises ConfigError as `load`."""
+    """A recording's own calibration, whose file stays as it is; None without one. Raises ConfigError as `load` does."""
     content = content_of(recording)
     if CALIBRATION_NAME not in content:
         return None
@@ -75,12 +75,12 @@ def of_recording(recording: Path) -> Calibration | None:
 
 
 def fits_to_renew(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Profiles whose fitted weights in a file are of another layout than the shipped network. Raises ConfigError."""
+    """Profiles whose fitted weights in a file do not have the shipped network's layout. Raises ConfigError."""
     return tuple(name for name, fitted in calibration_file.fitted_in(path).items() if not _can_run(name, fitted))
 
 
 def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
-    """The same with those fitted networks alone that can run."""
+    """The calibration without the fitted networks that cannot run."""
     can_run = {name: fitted for name, fitted in calibration.fitted.items() if _can_run(name, fitted)}
     if len(can_run) == len(calibration.fitted):
         return calibration
@@ -111,12 +111,12 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
 
 
 def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
-    """Load the calibration as `load_calibration`, or report that there is none yet, and how it is made.
+    """Load the calibration as `load_calibration` does; without a file return a reason that explains how to make one.
 
     Raises
     ------
     ConfigError
-        There is a file, and it cannot be used.
+        The file exists but cannot be used.
     """
     path = document.settings.calibration
     try:
@@ -125,12 +125,12 @@ def find_calibration(document: Document, *, store: bool = False) -> Calibration 
         text = f"not calibrated: found no file {path}; {how_to_calibrate(document)}"
         return Reason(ReasonCode.NOT_CALIBRATED, text)
     except OSError:
-        pass  # the loading reports it
+        pass  # loading reports it
     return load_calibration(document, store=store)
 
 
 def how_to_calibrate(document: Document) -> str:
-    """The commands that make the calibration of the settings."""
+    """The commands that make the calibration that the settings name, as text."""
     return (
         f"while nothing else uses the camera, run tacshade-edge capture DIR --config {document.path}, "
         "then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference DIR/reference_*.png "
@@ -139,9 +139,7 @@ def how_to_calibrate(document: Document) -> str:
 
 
 def load_calibration(document: Document, *, store: bool = False) -> Calibration:
-    """Load the calibration that the settings name, and check that it fits the source.
-
-    `store` is of `load`.
+    """Load the calibration that the settings name, and check that it fits the source; for `store` see `load`.
 
     Raises
     ------

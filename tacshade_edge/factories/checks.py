@@ -1,4 +1,4 @@
-"""All that can be checked of the settings' paths without opening a device."""
+"""Checks of the settings' paths that need no open device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tacshade_edge.settings import Document
 
 
 def check_files(document: Document) -> None:
-    """Check the paths of the source and the serial port, the files of the broker's settings. Raises ConfigError."""
+    """Check the paths of the source and the serial port, and the broker's files. Raises ConfigError."""
     check_source(document)
     check_broker_files(document)
     check_serial(document)

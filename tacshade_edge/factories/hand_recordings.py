@@ -1,4 +1,4 @@
-"""Recordings of the fingers of one hand, reconstructed to the messages that the hand would have published."""
+"""Reconstructs recordings of one hand's fingers to the messages that the hand would have published."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _log = logging.getLogger(__name__)
 
 
 def recorded_settings(content: dict[str, bytes]) -> Settings | None:
-    """The settings that a recording was made with, of one sensor; None without them.
+    """The settings of the sensor that a recording was made with; None if it has none.
 
     Raises
     ------
     ConfigError
-        They are of another version of this program.
+        The settings are of another version of this program.
     """
     if SETTINGS_NAME not in content:
         return None
@@ -45,7 +45,7 @@ def recorded_settings(content: dict[str, bytes]) -> Settings | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandRecording:
-    """What several recordings of a hand give.
+    """The result of reading several recordings of a hand.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class HandRecording:
     fingers : tuple of str
         In the order of the recordings.
     messages : iterator of HandObjects
-        Each is made when it is asked for.
+        Each is made when the caller requests it.
     unread : list of str
-        Grows by each image that cannot be read, as the log does.
+        Gets a line for each image that cannot be read, as the log does.
     """
 
     hand_id: str
@@ -83,19 +83,19 @@ class _Recorded:
             if recorded is None:
                 return
             result = step_and_track(self.reconstructor, tracker, recorded.frame)
-            assert result is not None  # all of it is needed
+            assert result is not None  # by default everything is needed
             yield result.t_ns, recorded.wall_ns, finger_of(result, self.hand_T_sensor)
 
 
 def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
     """Read recordings of several fingers, made at the same time on one board.
 
-    Each has its own calibration, and the settings of a hand's finger. The log reports what is damaged or was cut off.
+    Each needs its own calibration and the settings of a hand's finger. The log reports damaged and cut-off recordings.
 
     Raises
     ------
     ConfigError
-        A recording without these, two of one sensor, or of several hands.
+        A recording lacks these, two are of one sensor, or they are of several hands.
     """
     fingers: dict[str, _Recorded] = {}
     hands, unread = set[str](), list[str]()

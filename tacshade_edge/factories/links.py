@@ -1,4 +1,4 @@
-"""The link to the broker that the settings name, and what can be checked of it without connecting."""
+"""The link to the broker that the settings name, and the checks that need no connection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PASSWORD_BYTES_MAX = 1 << 16
 
 
 def read_password(document: Document) -> str | None:
-    """First line of the password file; None without one. Raises ConfigError."""
+    """The first line of the password file; None without a file. Raises ConfigError."""
     mqtt = document.settings.mqtt
     if mqtt.password_file is None:
         return None
@@ -28,7 +28,7 @@ def read_password(document: Document) -> str | None:
 
 
 def password_in(path: str | Path, where: str) -> str:
-    """First line of a password file that `where` names. Raises ConfigError."""
+    """The first line of a password file; `where` begins each error. Raises ConfigError."""
     try:
         text = read_regular(path, _PASSWORD_BYTES_MAX).decode()
         password = text.partition("\n")[0].rstrip("\r")
@@ -43,7 +43,7 @@ def password_in(path: str | Path, where: str) -> str:
 
 
 def check_broker_files(document: Document) -> None:
-    """Check the files of the broker's settings. Raises ConfigError."""
+    """Check the files that the broker's settings name. Raises ConfigError."""
     mqtt = document.settings.mqtt
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
         raise ConfigError(
@@ -55,7 +55,7 @@ def check_broker_files(document: Document) -> None:
 def make_link(
     document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
 ) -> MqttLink:
-    """The link to the broker that the settings name, not started. Raises ConfigError."""
+    """Make the link to the broker that the settings name, without starting it. Raises ConfigError."""
     sensor_id = document.settings.sensor_id
     return _link(document, f"tacshade/{sensor_id}", f"tacshade-{sensor_id}", on_request, on_outcome)
 
@@ -63,7 +63,7 @@ def make_link(
 def make_hand_link(
     hand: Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
 ) -> MqttLink:
-    """The link of the hand's own topics, not started; its client's id is none that a sensor can have.
+    """Make the link for the hand's own topics, without starting it; no sensor can have its client id.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def _link(
 
 
 def broker_address(document: Document) -> BrokerAddress:
-    """The broker that the settings name, with the password. Raises ConfigError."""
+    """The address of the broker that the settings name, with the password. Raises ConfigError."""
     mqtt = document.settings.mqtt
     return BrokerAddress(
         host=mqtt.host,

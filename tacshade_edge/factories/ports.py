@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def make_serial_port(settings: Serial | None) -> SerialPort | None:
-    """The robot's port that the settings name, not opened; None where there is no robot, and pyserial is not needed."""
+    """Make the robot's port that the settings name, without opening it; None, without pyserial, if there is none."""
     if settings is None:
         return None
     from tacshade_edge.devices.serial.port import SerialPort
@@ -21,7 +21,7 @@ def make_serial_port(settings: Serial | None) -> SerialPort | None:
 
 
 def check_serial(document: Document) -> None:
-    """Check that the robot's port, if it is there, can be one. Raises ConfigError."""
+    """Check that the robot's port, if present, is a serial device. Raises ConfigError."""
     if (settings := document.settings.serial) is None:
         return
     from tacshade_edge.devices.serial.port import check_kind

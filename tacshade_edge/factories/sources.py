@@ -1,4 +1,4 @@
-"""The frame source that the settings name, and what can be checked of it without opening it."""
+"""The frame source that the settings name, and the checks that do not open it."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ SOURCES: dict[type, Callable[[Any], FrameSource]] = {
 
 
 def make_source(source: Source) -> FrameSource:
-    """The frame source that the settings name, not opened."""
+    """Make the frame source that the settings name, without opening it."""
     return SOURCES[type(source)](source)
 
 
 def frames_have_poses(settings: Settings) -> bool:
-    """Whether a robot states them, or the source's folder has a table that may."""
+    """Whether frames may have poses: from a robot, or from a table in the source's folder."""
     source = settings.source
     return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
 
 
 def how_to_fix(source: Source, code: ReasonCode) -> str | None:
-    """What a person does about a source's state; None where that is not known, or the reason itself says it."""
+    """What a person can do about a source's state; None if that is unknown or the reason itself says it."""
     of_cameras = {V4l2: fixes.OF_USB_CAMERAS, Rpicam: fixes.OF_CSI_CAMERAS}.get(type(source), {})
     return of_cameras.get(code) or fixes.OF_FRAMES.get(code)
 
@@ -84,7 +84,7 @@ def check_source(document: Document) -> None:
 
 
 def first_size(document: Document, source: Files) -> tuple[int, int] | None:
-    """Width and height of the first image, in px; None where there is none yet. Raises ConfigError."""
+    """Width and height of the first image, px; None if there is no image yet. Raises ConfigError."""
     from tacshade_edge.storage.recording.image_source import first_size_px
 
     try:

@@ -1,1 +1,1 @@
-"""Training the shipped networks on with a sensor's own presses. It alone needs PyTorch (the extra ``fit``)."""
+"""Trains the shipped networks further with a sensor's own presses; the only part that needs PyTorch (extra ``fit``)."""

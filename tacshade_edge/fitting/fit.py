@@ -1,4 +1,4 @@
-"""``calibrate --fit``: the network of every profile trained on with a sensor's own presses, and whether that helped."""
+"""``calibrate --fit`` trains each profile's network further with a sensor's presses and reports whether that helped."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from tacshade_edge.inference.onnx_weights import values_of
 from tacshade_edge.types import Calibration, FittedNetwork
 
 LEAST_PRESSES, ENOUGH_PRESSES = 16, 40
-"""Fewer are refused; with fewer, more would help."""
+"""`fit` refuses fewer presses than the first; below the second it advises taking more."""
 LEAST_GAIN = 0.05
-"""Part of the shipped network's error: the training was chosen by the same presses, so less may be chance."""
+"""Least relative reduction of the shipped network's error; less may be chance: the same presses chose the weights."""
 ORDER = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
 """The default profile's network first."""
 _SAY_S = 5.0
 
 Say = Callable[[str], None]
-"""Called with what is done and how long it will take, every few seconds."""
+"""Receives a line on the progress and the time left, every few seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileReport:
-    """A profile on the presses that were held out: errors of h where the indenter's surface is known.
+    """Errors of a profile's h on the held-out presses, where the indenter's surface is known.
 
     Attributes
     ----------
     profile : str
     shipped_mm, fitted_mm : mapping of str to float
-        Of each indenter; `fitted_mm` is what was trained, kept or not.
+        Mean error for each indenter; `fitted_mm` is that of the trained network, kept or not.
     kept : bool
-        Whether it is better than the shipped network, so that it goes into the calibration.
+        Whether the trained network is better than the shipped one and goes into the calibration.
     """
 
     profile: str
@@ -57,7 +57,7 @@ class ProfileReport:
 
     @property
     def line(self) -> str:
-        """For a person."""
+        """The report as one line of text."""
         each = ", ".join(f"{name} {error:.2f}" for name, error in sorted(self.fitted_mm.items()))
         kept = "" if self.kept else "; that is no better, so the shipped network stays"
         return (
@@ -68,7 +68,7 @@ class ProfileReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """The calibration with what was kept, what was measured of each profile, and which presses would help most."""
+    """The calibration with the networks that were kept, the profiles' reports, and advice on more presses."""
 
     calibration: Calibration
     profiles: tuple[ProfileReport, ...]
@@ -76,20 +76,20 @@ class FitResult:
 
 
 def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> FitResult:
-    """Train every profile's network on.
+    """Train every profile's network further.
 
     Parameters
     ----------
     calibration : Calibration
-        Made of them, not fitted.
+        Made from these presses, without fitted networks.
     presses : sequence of KnownPress
-        Those that `calibrate` used.
+        The presses that `calibrate` used.
     say : callable
 
     Raises
     ------
     ConfigError
-        Too few presses.
+        There are too few presses, or the networks find the contact in too few of them.
     """
     if len(presses) < LEAST_PRESSES:
         raise ConfigError(
@@ -131,7 +131,7 @@ class _Run:
         self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, self._judge)
 
     def result(self) -> tuple[FittedNetwork, ProfileReport]:
-        """What was trained, measured as it will run."""
+        """The trained network and the report on it, measured as it will run."""
         correction = self._network.correction.detach()[0].numpy()
         made = FittedNetwork(
             shipped_layout(self._weights),
@@ -163,7 +163,7 @@ def _train(run: _Run, later: Sequence[_Run], what: str, say: Say) -> None:
 
 
 def _of_each(targets: Targets, errors_mm: Sequence[float]) -> dict[str, float]:
-    """Mean error of each indenter."""
+    """Mean error for each indenter, mm."""
     errors = defaultdict(list)
     for press, error in zip(targets.presses, errors_mm, strict=True):
         errors[press.indenter].append(error)
@@ -171,12 +171,12 @@ def _of_each(targets: Targets, errors_mm: Sequence[float]) -> dict[str, float]:
 
 
 def _mean(errors_mm: dict[str, float]) -> float:
-    """Each indenter alike."""
+    """Mean over the indenters, each with the same weight, mm."""
     return float(np.mean(list(errors_mm.values())))
 
 
 def _advice(presses: Sequence[KnownPress], reports: Sequence[ProfileReport]) -> tuple[str, ...]:
-    """Which presses would help most, the most useful first."""
+    """Advice on the presses that would help most, the most useful first."""
     advice = []
     if all(press.indenter is None for press in presses):
         advice.append("also press flat ends, a box and a lying bar: with balls alone the fit is a quarter worse")

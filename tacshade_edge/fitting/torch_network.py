@@ -1,4 +1,4 @@
-"""A shipped network as PyTorch trains it: made from its ONNX file, so that there is no second definition of it."""
+"""A shipped network as PyTorch trains it, built from its ONNX file so that the network has only one definition."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ OPERATIONS: dict[str, Operation] = {
     "Add": lambda _, given: given[0] + given[1],
     "Concat": lambda _, given: torch.cat(given, 1),
     "MaxPool": _pool,
-    # Of the networks' levels: twice as many cells along a side, each as the nearest was.
+    # As the networks use it: twice as many cells along each side, each a copy of the nearest.
     "Resize": lambda _, given: functional.interpolate(given[0], scale_factor=2.0, mode="nearest"),
     "DepthToSpace": lambda attributes, given: functional.pixel_shuffle(given[0], attributes["blocksize"]),
 }
-"""What is in the graphs of tools/training/export.py."""
+"""The operations in the graphs that tools/training/export.py writes."""
 
 
 class TorchNetwork:
-    """The network that is run for every frame, and a correction of what the sensor adds to its first layer.
+    """The network that runs for every frame, and a correction to what the sensor adds to its first layer.
 
     Parameters
     ----------
     onnx : bytes
-        Of the shipped file.
+        The shipped file.
     sensors : sequence of float32 (channels, N, N)
-        What the sensor adds to the first layer, and what other views of it would (`press_targets.VIEWS`).
+        What the sensor adds to the first layer, then what its other views would add (`press_targets.VIEWS`).
     height_factor : float
-        It begins with its heights multiplied by this.
+        Multiplies the network's heights before the training.
 
     Raises
     ------
     ValueError
-        An operation that is not in `OPERATIONS`.
+        The file has an operation that is not in `OPERATIONS`.
     """
 
     def __init__(self, onnx: bytes, sensors: Sequence[F32], height_factor: float) -> None:
@@ -74,23 +74,23 @@ class TorchNetwork:
             each.requires_grad_()
 
     def parameters(self) -> list[Tensor]:
-        """What is trained."""
+        """The tensors that training changes."""
         return [*self._weights.values(), self.correction]
 
     def copy(self) -> list[Tensor]:
-        """What `parameters` are now."""
+        """A copy of `parameters` as they are now."""
         return [each.detach().clone() for each in self.parameters()]
 
     def restore(self, copied: Sequence[Tensor]) -> None:
-        """Make `parameters` what they were."""
+        """Set `parameters` to copied values."""
         with torch.no_grad():
             for each, was in zip(self.parameters(), copied, strict=True):
                 each.copy_(was)
 
     def __call__(self, white: Tensor, view: int = 0) -> tuple[Tensor, Tensor]:
-        """Run frames (B, fold², N, N), to depth and contact (B, 2 fold², N, N) and what is untrusted (B, 1, M, M).
+        """Run frames (B, fold², N, N) to depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
 
-        `view` is the number of the sensor; the correction is of the first one alone.
+        `view` is the sensor's index in `sensors`; the correction applies only to the first.
         """
         values: dict[str, Tensor] = dict(self._weights)
         values |= {"white": white, "sensor": self.sensors[view] + (0 if view else self.correction)}
@@ -100,12 +100,12 @@ class TorchNetwork:
         return values["depth_and_contact"], values["foreign"]
 
     def flat(self) -> F32:
-        """All weights end to end, as `onnx_weights.values_of`."""
+        """All weights end to end, in the order of `onnx_weights.values_of`."""
         flat: F32 = torch.cat([weight.detach().flatten() for weight in self._weights.values()]).numpy()
         return flat
 
     def _scale_heights(self, factor: float) -> None:
-        """Multiply the half of the head that says h."""
+        """Multiply the half of the head that predicts h."""
         head: Node = next(node for node in self._nodes if node.output == "depth_and_contact")
         for name in head.inputs[1:]:
             weight = self._weights[name]

@@ -1,4 +1,4 @@
-"""Training a network on with presses: the loss, the steps, and when to stop."""
+"""Trains a network further with presses: the loss, the steps, and when to stop."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from tacshade_edge.fitting.torch_network import TorchNetwork
 
 STEPS, BATCH = 300, 12
 RATE = 5e-4
-"""The greatest of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
+"""Greatest learning rate of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
 OWN_PART = 0.3
-"""Of the steps that see the sensor as it is at least; the others draw one of `VIEWS`."""
+"""Share of the steps that always see the sensor as it is; the others draw one of `VIEWS`."""
 WAY_PART = 0.5
-"""Of the way from the shipped weights to the trained ones: things unlike those pressed are read better there."""
+"""How far to go from the shipped weights (0) to the trained ones (1): objects unlike those pressed are read better."""
 LOOK_STEPS, PATIENCE_STEPS = 20, 120
-"""How often the presses that are held out are looked at, and how long after the best look it goes on."""
+"""Steps between two checks on the held-out presses, and steps after the best check at which training stops."""
 HIGH_PART = 0.4
-"""Of the steps until which nobody looks: at a high rate what a few presses show is chance."""
+"""Share of the steps before the first check: at a high learning rate, the result on a few presses is chance."""
 OUTLINE_WEIGHT, FAR_WEIGHT, UNTRUSTED_WEIGHT = 2.0, 1.0, 0.5
 MORE_CELLS = 20
-"""A press weighs its cells and so many: one of few cells is not to weigh as much as a wide one."""
+"""Added to the cell count that divides a press's loss, so that a small press weighs less than a wide one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class Batch:
             return torch.from_numpy(np.stack([getattr(press, name) for press in presses])).float()
 
         surface, known = stacked("surface"), stacked("known")
-        # Beside where the indenter is inside the undeformed skin, by a cell, nothing can touch.
+        # More than a cell beyond where the indenter lies inside the undeformed skin, nothing can touch.
         touchable = functional.max_pool2d((surface > 0).float(), 3, 1, 1)
         return cls(
             stacked("white"),
@@ -67,11 +67,11 @@ class Batch:
         )
 
     def some(self, which: Tensor) -> Batch:
-        """Those of the given numbers."""
+        """The presses with the given numbers."""
         return Batch(*(getattr(self, name)[which] for name in self.__slots__))
 
     def seen_as(self, view: int, fold: int) -> Batch:
-        """The same as another of `VIEWS` shows it."""
+        """The batch as another of `VIEWS` shows it."""
         turns, mirrored = VIEWS[view]
 
         def seen(x: Tensor) -> Tensor:
@@ -83,11 +83,11 @@ class Batch:
 
 
 def loss(network: TorchNetwork, fold: int, batch: Batch, factor: float, view: int = 0) -> Tensor:
-    """How far a network is from what it is to say of presses; `factor` is that on the shipped network's heights."""
+    """Loss of a network on presses; `factor` is the one on the shipped network's heights."""
     folded, untrusted = network(batch.white, view)
     height, logit = functional.pixel_shuffle(folded, fold).unbind(1)
     level = _per_press((height - batch.surface).abs(), batch.known)
-    # Where the skin has lifted off the indenter it is deeper than its surface.
+    # Where the skin has lifted off the indenter, it lies deeper than the indenter's surface.
     lifted = _per_press(functional.relu(batch.surface - height), batch.above)
     far = _per_press((height - factor * batch.height).abs(), batch.far)
     outline = functional.binary_cross_entropy_with_logits(logit, batch.contact, reduction="none")
@@ -113,7 +113,7 @@ class Training:
     network : TorchNetwork
     fold : int
     factor : float
-        On the shipped network's heights.
+        Multiplies the shipped network's heights.
     train, held_out : Targets
         At least one press each.
     """
@@ -128,7 +128,7 @@ class Training:
         self.step_s = self._step_s()
 
     def steps(self) -> Iterator[int]:
-        """Train; after every step, how many are done. At the end the network is half way there (`WAY_PART`)."""
+        """Train, and yield the number of steps done after each; at the end set the network to `WAY_PART` of the way."""
         shipped = weights = self._network.copy()
         best, best_step = self._look(), round(HIGH_PART * STEPS)
         for step in range(1, STEPS + 1):
@@ -154,7 +154,7 @@ class Training:
         self._schedule.step()
 
     def _look(self) -> float:
-        """Mean error at the known cells of the presses that are held out, each press alike."""
+        """Mean error of h at the known cells of the held-out presses, each press with the same weight."""
         with torch.no_grad():
             folded, _ = self._network(self._held_out.white)
         off = (functional.pixel_shuffle(folded, self._fold)[:, 0] - self._held_out.surface).abs()
@@ -162,7 +162,7 @@ class Training:
         return float(((off * known).sum((1, 2)) / known.sum((1, 2))).mean())
 
     def _step_s(self) -> float:
-        """How long a step takes; nothing is learned from it."""
+        """Duration of a training step, s; measuring it changes no weight."""
         which = torch.arange(min(BATCH, self._count))
         taken = []
         for _ in range(3):

@@ -1,1 +1,1 @@
-"""What the fingers of a hand report, put together. Pure: the daemon and the library give it the time."""
+"""Combines what the fingers of a hand report. Pure: the daemon and the library pass in the time."""

@@ -1,4 +1,4 @@
-"""Combines what the fingers report, and decides when to publish it. Pure: it is given the time."""
+"""Combines the fingers' reports and decides when to publish the result. Pure: the caller passes in the time."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
 GATHER_NS: Final = 3_000_000
-"""News of one finger waits at most so long for that of the others in contact, whose cameras do not expose together, and
-not at all for one whose next frame is due later; so long at least after the message before."""
+"""Longest wait of a finger's news for other fingers in contact, whose cameras do not expose together; a finger whose
+next frame is due later is not waited for. Also the shortest time between two messages."""
 QUIET_PERIOD_NS: Final = 100_000_000
-"""Between two messages at most: without contact and change."""
+"""Longest time between two messages, without contact and change."""
 FIRST_NS: Final = 500_000_000
-"""So long after somebody began to listen the first message waits for a silent finger."""
+"""Longest wait for a silent finger before the first message to a new listener."""
 STALLED_NS: Final = 3_000_000_000
-"""A finger that reported nothing for so long is away; as `status/camera` does."""
+"""A finger that has reported nothing for this long is away, as in `status/camera`."""
 
 _STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet"))
 _STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor reports nothing"))
 
 
 class HandAggregator:
-    """The latest of every finger."""
+    """The latest report of every finger, and when the next message is due."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._fingers = dict.fromkeys(names, _STARTING)
@@ -34,12 +34,12 @@ class HandAggregator:
         self._listened_ns: int | None = None
         self._published_ns = 0
         self._news: set[str] = set()
-        self._news_ns = 0  # the oldest
+        self._news_ns = 0  # when the oldest news came
         self._seq = 0
         self._held = HeldObject()
 
     def listen(self, listened: bool, now_ns: int) -> None:
-        """Somebody listens, or nobody does; when it begins, what was reported before is no news any more."""
+        """Note whether anybody listens; when that begins, earlier reports no longer count."""
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
@@ -50,7 +50,7 @@ class HandAggregator:
                     self._fingers[name] = _STARTING
 
     def hear(self, name: str, finger: Finger, now_ns: int) -> None:
-        """Take what a finger reports."""
+        """Store a finger's report."""
         before = self._fingers[name]
         self._period_ns[name] = now_ns - (self._heard_ns[name] or now_ns)
         self._fingers[name], self._heard_ns[name] = finger, now_ns
@@ -59,7 +59,7 @@ class HandAggregator:
             self._news.add(name)
 
     def due_ns(self) -> int | None:
-        """When the next message is to go; None while nobody listens."""
+        """When the next message is due; None while nobody listens."""
         since_ns = self._listened_ns
         if since_ns is None:
             return None
@@ -77,7 +77,7 @@ class HandAggregator:
         return max(until_ns if waits else self._news_ns, self._published_ns + GATHER_NS)
 
     def message(self, now_ns: int, wall_ns: int) -> HandObjects:
-        """The next message."""
+        """Make the next message."""
         for name, finger in self._fingers.items():
             heard_ns = self._heard_ns[name] or self._listened_ns or now_ns
             if finger.state != "away" and now_ns - heard_ns > STALLED_NS:

@@ -1,4 +1,4 @@
-"""What the fingers report as patches of the one object that they hold, and how the hand publishes its motion."""
+"""The fingers' reports as patches of the one object that they hold, and its motion as the hand publishes it."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from tacshade_edge.protocol.hand import Finger, Motion, Unobservable, rounded_tr
 from tacshade_edge.types import Slip
 
 PATCHES_MAX: Final = 4
-"""Of a finger, its greatest: the message of five fingers stays within what a decoder takes."""
+"""Patches of one finger, the greatest first: the message of five fingers stays within the decoder's limit."""
 PERIOD_NS: Final = 10_000_000
-"""Between two fits at least: five cameras that do not expose together make up to 250 messages a second."""
+"""Shortest time between two fits: five cameras that do not expose together cause up to 250 messages a second."""
 STALE_NS: Final = 500_000_000
-"""A finger in contact reports every frame; one that reported none for so long holds nothing."""
-_DIGITS: Final = 8  # of a variance
+"""A finger in contact reports every frame; one that has reported none for this long holds nothing."""
+_DIGITS: Final = 8  # decimal places of a variance
 _DEGREES: Final = np.array([1.0] * 3 + [180 / np.pi] * 3)
 
 
 class HeldObject:
-    """Follows the object from message to message."""
+    """The held object, followed from message to message."""
 
     def __init__(self) -> None:
         self._tracker = ObjectTracker()
@@ -32,7 +32,7 @@ class HeldObject:
         self._fitted_ns = 0
 
     def step(self, fingers: Mapping[str, Finger], now_ns: int) -> Motion | None:
-        """Take what all fingers reported last; None where no skin that touches has shear."""
+        """Take all fingers' latest reports and return the motion; None if no touching skin has shear."""
         patches = patches_of({k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS})
         if not patches or not 0 <= now_ns - self._fitted_ns < PERIOD_NS:
             self._fitted_ns = now_ns
@@ -43,7 +43,7 @@ class HeldObject:
 
 
 def patches_of(fingers: Mapping[str, Finger]) -> dict[str, Patch]:
-    """What fingers report as patches, by a key that each keeps while it touches."""
+    """The fingers' objects as patches, by a key that each keeps while it touches."""
     return {
         f"{name} {number}": patch
         for name, finger in fingers.items()
@@ -53,7 +53,7 @@ def patches_of(fingers: Mapping[str, Finger]) -> dict[str, Patch]:
 
 
 def with_motion(finger: Finger, motion: Motion | None) -> Finger:
-    """Add it to each object of a finger that counts as a patch."""
+    """Add the motion to each object of a finger that counts as a patch."""
     if motion is None or not finger.objects:
         return finger
     held = [number for number, _ in _patches(finger)]

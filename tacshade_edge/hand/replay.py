@@ -1,4 +1,4 @@
-"""The hand's messages from frames with their own times, as they would have been published."""
+"""The messages that the hand would have published for frames with their own times."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Reports = Iterable[tuple[int, int, Finger]]
 
 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
-    """Combine the fingers' reports; a message comes when it is due, and nothing is late.
+    """Combine the fingers' reports into messages, each made exactly when it is due.
 
     Parameters
     ----------
     fingers : mapping of str to iterable
-        By the sensor's id; all times are of one clock.
+        By sensor id; all times are of one clock.
     """
     aggregator = HandAggregator(tuple(fingers))
     reports = heapq.merge(*(_named(name, own) for name, own in fingers.items()), key=lambda report: report[0])

@@ -1,1 +1,1 @@
-"""The networks: their weights, and what runs them."""
+"""The networks: their weights, and the code that runs them."""

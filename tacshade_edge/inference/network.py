@@ -27,18 +27,18 @@ WEIGHTS = Path(str(resources.files("tacshade_edge.inference") / "weights"))
 
 
 def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
-    """Read shipped weights (`Profile.network`), or run those of a fit. One network is for one thread at a time.
+    """Load a shipped network (`Profile.network`), or a fitted one. Only one thread at a time may run it.
 
     Raises
     ------
     ValueError
-        The fit is of another layout.
+        The fitted weights have another layout.
     """
     return read_network(WEIGHTS / f"{name}.onnx", fitted)
 
 
 def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
-    """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
+    """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
     about = _about(onnx)
     frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
     if fitted is not None:
@@ -58,34 +58,34 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
         return NetworkMaps(maps[0], untrusted[0, 0]), features[0]
 
     shear = read_shear(WEIGHTS / "shear.onnx")
-    return_free_memory()  # of `accurate` 8 MB
+    return_free_memory()  # 8 MB for `accurate`
     touch = run_touch if _touch_file(onnx).exists() else None
     return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem), touch)
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
-    """The weights of a network that is run for every frame in its integer graph, where there is one.
+    """Put the weights of a per-frame network into its integer graph, if it has one.
 
-    ``NAME.integer.onnx`` (tools/training/integer.py) has no weights of its own and rounds those that it is given.
+    ``NAME.integer.onnx`` (tools/training/integer.py) has no weights of its own and rounds those that it receives.
     """
     graph = onnx.with_suffix(".integer.onnx")
     return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
 
 
 def network_files(name: str) -> tuple[bytes, bytes]:
-    """The shipped ONNX file that is run for every frame, and the one beside it that is run for a sensor."""
+    """The shipped ONNX files: the one that runs for every frame, and the one that runs once per sensor."""
     onnx = WEIGHTS / f"{name}.onnx"
     return onnx.read_bytes(), _beside(onnx).read_bytes()
 
 
 @cache
 def shipped_layout(name: str) -> str:
-    """The layout of a shipped network: fitted weights of another one cannot run (`FittedNetwork.layout`)."""
+    """Layout of a shipped network; fitted weights of another layout cannot run (`FittedNetwork.layout`)."""
     return layout_of(*network_files(name))
 
 
 def can_run(name: str, fitted: FittedNetwork) -> bool:
-    """Whether fitted weights are of the layout of a shipped network, and as many as it has."""
+    """Whether fitted weights have the layout and the sizes of a shipped network."""
     if fitted.layout != shipped_layout(name):
         return False
     about, files = _about(WEIGHTS / f"{name}.onnx"), network_files(name)
@@ -96,7 +96,7 @@ def can_run(name: str, fitted: FittedNetwork) -> bool:
 
 
 def _sigma(name: str) -> SigmaModel | None:
-    """The errors of a shipped network (tools/training/fit_sigma.py)."""
+    """Error model of a shipped network (tools/training/fit_sigma.py); None if it has none."""
     known = json.loads((WEIGHTS / "sigma.json").read_text())["networks"].get(name)
     if known is None:
         return None
@@ -105,7 +105,7 @@ def _sigma(name: str) -> SigmaModel | None:
 
 
 def read_shear(onnx: Path) -> ShearNetwork:
-    """Read the network of shear."""
+    """Read the shear network."""
     session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
     with_features = _with_features(onnx)
 
@@ -122,14 +122,14 @@ def read_shear(onnx: Path) -> ShearNetwork:
 
 
 def _touch_file(onnx: Path) -> Path:
-    """The nodes that pool the activations that a touch model looks at (tools/training/touch_outputs.py)."""
+    """The file with the nodes that pool activations for a touch model (tools/training/touch_outputs.py)."""
     return onnx.with_suffix(".touch.onnx")
 
 
 def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[[F32, F32], list[F32]]:
-    """What runs a graph with one more output, its features.
+    """Return a function that runs a graph with its features as one more output.
 
-    Graph and session are made when they are first asked for: the files are read again, no weights are kept for it.
+    Its first call makes graph and session: it reads the files again, so that no weights are kept for it.
     """
     made: list[InferenceSession] = []
 
@@ -138,7 +138,7 @@ def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[
             frame = onnx.read_bytes()
             if fitted is not None:
                 frame = with_values(frame, fitted.weights[: len(values_of(frame))])
-            # Messages end to end are one message.
+            # Protocol Buffers reads concatenated messages as one message.
             made.append(_session(in_integers(onnx, frame) + _touch_file(onnx).read_bytes()))
         answers: list[F32] = made[0].run(None, {"white": white[None], "sensor": sensor[None]})
         return answers
@@ -147,7 +147,7 @@ def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[
 
 
 def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
-    """Which networks a touch model's features are of (`TouchModel.networks`): a digest of all that makes them."""
+    """SHA-256 of everything that computes a touch model's features (`TouchModel.networks`)."""
     digest = hashlib.sha256()
     for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / "shear.onnx"):
         for path in (onnx, _beside(onnx), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
@@ -175,8 +175,8 @@ def _sensing(model: bytes | Path, correction: F32 | None = None) -> Callable[[F3
 
 
 def runtime() -> Any:
-    """ONNX Runtime, imported on demand: 20 MB that `paper` does without."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read once, when the library is loaded
+    """Import ONNX Runtime on demand: `paper` does without its 20 MB."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # the library reads it once, when it loads
     import onnxruntime
 
     return onnxruntime
@@ -186,14 +186,14 @@ def _session(model: bytes | Path) -> InferenceSession:
     onnxruntime = runtime()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.enable_cpu_mem_arena = False  # it keeps 2 MB for no time won
-    options.log_severity_level = 3  # it warns of processors that it does not know
+    options.enable_cpu_mem_arena = False  # it keeps 2 MB and saves no time
+    options.log_severity_level = 3  # it warns about unknown processors
     session: InferenceSession = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     return session
 
 
 def load_networks() -> dict[str, Network]:
-    """Those of all profiles that a calibration is refitted for."""
+    """The networks of all profiles that a calibration is refitted for, by profile."""
     return {name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network}
 
 
@@ -201,15 +201,15 @@ _for_all: dict[str, Network] = {}
 
 
 def preload(profile: Profile) -> None:
-    """Load a profile's shipped network for this process and those that it forks, which share its memory."""
+    """Load a profile's shipped network for this process and its forks, which share the memory."""
     if profile.network and profile.network not in _for_all:
         _for_all[profile.network] = load_network(profile.network)
 
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
-    """A reconstructor, with a network of its own where the profile names one: the fitted one where there is one.
+    """Make a reconstructor, with the network that the profile names: the fitted one if there is one.
 
-    A network that was preloaded is taken in place of its own: only one thread of a daemon runs it.
+    A preloaded network is shared instead of loaded again: only one thread of a daemon runs it.
     """
     name = profile.network
     fitted = calibration.fitted.get(profile.name)
@@ -221,7 +221,7 @@ def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstruc
 
 
 def _touch(calibration: Calibration, profile: Profile) -> TouchModel | Reason | None:
-    """The profile's touch model, where it was learnt with the networks that run now."""
+    """The profile's touch model, or why the networks that run now do not fit it; None if there is no model."""
     model = calibration.touch.get(profile.name)
     if model is None or not profile.network:
         return None

@@ -1,7 +1,7 @@
-"""The weights inside an ONNX file: what they are, and the same network with others.
+"""The weights inside an ONNX file: reads them and replaces them.
 
-A fitted network is stored as its weights alone, so that a calibration brings numbers and never a graph. Of the format
-(Protocol Buffers, and ONNX's ``onnx.proto``) this reads the few fields that it needs.
+A fitted network is stored as its weights alone, so that a calibration contains numbers and never a graph. This module
+reads only the fields that it needs of the format (Protocol Buffers, and ONNX's ``onnx.proto``).
 
 References
 ----------
@@ -19,7 +19,7 @@ import numpy as np
 
 from tacshade_edge.types import F32
 
-# Field numbers: of ModelProto, of GraphProto, of TensorProto, of NodeProto, of AttributeProto.
+# Field numbers of ModelProto, GraphProto, TensorProto, NodeProto and AttributeProto; a data type; wire types.
 _GRAPH = 7
 _NODE, _INITIALIZER = 1, 5
 _DIMS, _DATA_TYPE, _NAME, _RAW_DATA = 1, 2, 8, 9
@@ -31,7 +31,7 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message: its number, and its value, or where its bytes begin and end in the file."""
+    """A field of a message: its number, and its value or the range of its bytes in the file."""
 
     number: int
     value: int
@@ -41,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Weight:
-    """A weight's name and shape, and where its float32 values begin and end in the file."""
+    """A weight's name and shape, and the range of its float32 values in the file."""
 
     name: str
     shape: tuple[int, ...]
@@ -51,7 +51,7 @@ class Weight:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """An operation, the names of what it is given and of what it gives, and those of its attributes that are whole."""
+    """An operation, the names of its inputs and its output, and its integer attributes."""
 
     kind: str
     inputs: tuple[str, ...]
@@ -60,7 +60,7 @@ class Node:
 
 
 def fields(data: bytes, begin: int, end: int) -> Iterator[Field]:
-    """The fields of the message that lies there. Raises ValueError: it is none."""
+    """The fields of the message from `begin` to `end`. Raises ValueError if these bytes are no message."""
     while begin < end:
         key, begin = _varint(data, begin)
         number, kind, value = key >> 3, key & 7, 0
@@ -80,7 +80,7 @@ def fields(data: bytes, begin: int, end: int) -> Iterator[Field]:
 
 
 def graph_of(data: bytes) -> Field:
-    """Where the graph lies. Raises ValueError: there is none."""
+    """The field of the graph. Raises ValueError if there is none."""
     for field in fields(data, 0, len(data)):
         if field.number == _GRAPH:
             return field
@@ -88,19 +88,19 @@ def graph_of(data: bytes) -> Field:
 
 
 def weights_of(data: bytes) -> list[Weight]:
-    """All weights, in the file's order. Raises ValueError: one is not of float32 in its raw form."""
+    """All weights, in the file's order. Raises ValueError if one is not raw float32."""
     graph = graph_of(data)
     return [_weight(data, field) for field in fields(data, graph.begin, graph.end) if field.number == _INITIALIZER]
 
 
 def nodes_of(data: bytes) -> list[Node]:
-    """All operations, in the order in which they are run."""
+    """All operations, in the order of execution."""
     graph = graph_of(data)
     return [_node(data, field) for field in fields(data, graph.begin, graph.end) if field.number == _NODE]
 
 
 def layout_of(*files: bytes) -> str:
-    """A name for networks that differ in nothing but their weights: hexadecimal SHA-256 of the rest of their graphs."""
+    """Name that networks share if only their weights differ: hexadecimal SHA-256 of the rest of their graphs."""
     digest = hashlib.sha256()
     for data in files:
         graph = graph_of(data)
@@ -117,7 +117,7 @@ def values_of(data: bytes) -> F32:
 
 
 def with_values(data: bytes, values: F32) -> bytes:
-    """The same network with other weights, as `values_of` has them. Raises ValueError: not as many."""
+    """The same network with other weights, in the order of `values_of`. Raises ValueError if the number differs."""
     made, stored, at = bytearray(data), values.astype("<f4").tobytes(), 0
     for weight in weights_of(data):
         size = weight.end - weight.begin
@@ -129,7 +129,7 @@ def with_values(data: bytes, values: F32) -> bytes:
 
 
 def with_weights_of(graph: bytes, data: bytes) -> bytes:
-    """A network that has no weights, with those of another file."""
+    """A network without weights, completed with those of another file."""
     lies = graph_of(data)
     weights = b"".join(
         message(_INITIALIZER, data[field.begin : field.end])
@@ -140,12 +140,12 @@ def with_weights_of(graph: bytes, data: bytes) -> bytes:
 
 
 def joined(graph: bytes, more: bytes) -> bytes:
-    """A network with more fields in its graph: of a message that is there twice the lists are put end to end."""
+    """A network with more fields in its graph: Protocol Buffers concatenates the lists of a repeated message."""
     return graph + message(_GRAPH, more)
 
 
 def message(number: int, content: bytes) -> bytes:
-    """A field that holds bytes or a message; its number is below 16."""
+    """A field that holds bytes or a message, encoded; its number is below 16."""
     made, left = bytearray([number << 3 | _BYTES]), len(content)
     while left > 127:
         made.append(left & 127 | 128)
@@ -186,7 +186,7 @@ def _node(data: bytes, node: Field) -> Node:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of 7 bits a byte, the lowest first, and where it ends."""
+    """A number stored in 7 bits a byte, the lowest first, and the offset after it."""
     value = shift = 0
     while True:
         if at >= len(data) or shift > 63:

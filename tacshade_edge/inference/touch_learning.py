@@ -1,4 +1,4 @@
-"""Labelled frames to a touch model of one profile."""
+"""Learns a profile's touch model from labelled frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need
 
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
-    """A picture's place in the table, what is known of it, and its group (empty: it is one alone)."""
+    """A picture's name in the table, its labels, and its group (empty: a group of its own)."""
 
     name: str
     image: U8
@@ -34,11 +34,11 @@ class TouchResult:
     profile : str
     learnt : LearntTouch
     names : tuple of str
-        Of the frames that were used; its reports number them.
+        Frames that were used; the reports number them.
     left_out : tuple of str
-        A line for each frame that was not, with why.
+        A line for each frame that was not used, with the reason.
     too_few : mapping of str to (int, int)
-        Rows and groups of each quantity that has less than are needed.
+        Rows and groups of each quantity that has too few.
     """
 
     profile: str
@@ -49,7 +49,7 @@ class TouchResult:
 
 
 def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
-    """Learn a profile's touch model; the profile has a network."""
+    """Learn a profile's touch model; the profile must have a network."""
     assert profile.network is not None
     fitted = calibration.fitted.get(profile.name)
     taken: list[F32] = []
@@ -81,7 +81,7 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
 
 
 def report_lines(result: TouchResult) -> Sequence[str]:
-    """What a person wants to know of it."""
+    """The result as lines of text."""
     lines = [f"touch model of {result.profile}: {len(result.names)} frames"]
     for each in result.learnt.reports:
         unit = each.name.rpartition("_")[2]
@@ -101,4 +101,4 @@ def report_lines(result: TouchResult) -> Sequence[str]:
 
 
 SHOWN = 5
-"""Rows that a line names."""
+"""Greatest number of rows that a line names."""

@@ -1,4 +1,4 @@
-"""Strict settings: one YAML file to one frozen `Settings`, or one line that says what is wrong and where."""
+"""Strict settings: reads a YAML file as frozen `Settings`, or says in one line what is wrong and where."""
 
 from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml
 from tacshade_edge.settings.model import (

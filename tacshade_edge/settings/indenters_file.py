@@ -22,7 +22,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "cone": ("angle_deg",),
     "mesh": ("file",),
 }
-"""Shape to the keys that it needs; it may have the others."""
+"""The required keys of each shape."""
 
 
 class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

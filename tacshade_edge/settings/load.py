@@ -1,4 +1,4 @@
-"""A settings file to `Settings`, with the line of whatever is wrong."""
+"""Loads a settings file as `Settings` and reports the line of every mistake."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 T = TypeVar("T")
-_MISTAKES_MAX = 50  # one after another: what follows is found when these are fixed
+_MISTAKES_MAX = 50  # found one after another; further ones appear when these are fixed
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +33,11 @@ class Document:
     ----------
     path : Path
     settings : Settings
-        Its paths are absolute: a relative one counts from the file's folder.
+        All paths are absolute; relative ones start at the file's folder.
     found : dict
-        Where each given key stands.
+        The place of each given key.
     several : bool
-        The file has more sensors than this one.
+        The file has a ``sensors`` key.
     """
 
     path: Path
@@ -46,18 +46,18 @@ class Document:
     several: bool = False
 
     def where(self, *key: str) -> str:
-        """``FILE:LINE: path.to.key`` (without a line for a key that was left at its default)."""
+        """``FILE:LINE: path.to.key`` (without a line if the key has its default)."""
         return _where(self.path, self.found, key)
 
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """The hand that a file's sensors are the fingers of.
+    """The hand that a file's sensors form.
 
     Attributes
     ----------
     common : Document
-        What stands beside the sensors: the broker, as the hand itself logs in.
+        The settings outside ``sensors``: the broker, as the hand itself logs in.
     hand_id : str
     fingers : tuple of str
         The sensors' ids, in the file's order.
@@ -69,7 +69,7 @@ class Hand:
 
 
 def load(path: Path, sensor_id: str | None = None) -> Document:
-    """Read and check a settings file, and take a sensor of it; it must have no other where none is named.
+    """Read and check a settings file and return one sensor's document; without `sensor_id` there must be only one.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
 
 
 def load_all(path: Path) -> tuple[Document, ...]:
-    """Read and check a settings file with one sensor or several. Raises ConfigError as `load`."""
+    """Read and check a settings file with one sensor or several. Raises ConfigError like `load`."""
     schema = json_schema()
     value, found, mistakes = strict_yaml.read(path)
     several = isinstance(value, dict) and SENSORS in value
@@ -100,7 +100,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
         known = {m.key for m in (*mistakes, *wrong_of_one)}
         wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, schema, known)
         wrong_of_one += _hand_mistakes(path, value_of_one, found_of_one, known, several)
-        wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # what all have is wrong once
+        wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # report a shared key once
         if settings is not None:
             settings = _absolute(settings, path.absolute().parent)
             settings = own_folders(settings, found_of_one) if several else settings
@@ -110,7 +110,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
 
 
 def load_hand(path: Path) -> Hand | None:
-    """Read a settings file for the hand that it names; None where it names none. Raises ConfigError as `load`."""
+    """Read the hand that a settings file names, or None if it names none. Raises ConfigError like `load`."""
     fingers = tuple(document.settings.sensor_id for document in load_all(path))
     value, found, _ = strict_yaml.read(path)
     kept = {key: value[key] for key in (HAND, "mqtt") if value.get(key) is not None}
@@ -121,7 +121,7 @@ def load_hand(path: Path) -> Hand | None:
 def _hand_mistakes(
     path: Path, value: dict[str, Any], found: dict[Key, Found], known: set[Key], several: bool
 ) -> list[Mistake]:
-    """A finger belongs to a hand, and a hand has several sensors."""
+    """Mistakes about hands: a finger must belong to a hand, and a hand must have several sensors."""
     hand_id, seven = value.get(HAND), value.get(FINGER)
     if hand_id is not None and not several:
         return [_mistake(path, found, (HAND,), f"found {found[HAND,].text}, expected it beside {SENSORS} only")]
@@ -131,7 +131,7 @@ def _hand_mistakes(
         return [_mistake(path, found, (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")]
     if seven is None:
         text = f"found none, expected the sensor's place in the hand that {HAND} names"
-        return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else it was reported
+        return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else `split` reported it
     problem = wrong_with(seven)
     return [_mistake(path, found, (FINGER,), problem)] if problem else []
 
@@ -139,7 +139,7 @@ def _hand_mistakes(
 def _profile_mistakes(
     path: Path, value: dict[str, Any], found: dict[Key, Found], schema: dict[str, Any], known: set[Key]
 ) -> list[Mistake]:
-    """What msgspec cannot express: names that are known at run time, and a budget with `AUTO` and with nothing else."""
+    """Mistakes that msgspec cannot find: an unknown profile, `AUTO` without a budget, a budget without `AUTO`."""
     properties, budget = schema["$defs"]["Settings"]["properties"], ("latency_budget_ms",)
     profile, budget_ms = value.get("profile", DEFAULT), value.get("latency_budget_ms")
     if ("profile",) in known:
@@ -160,13 +160,13 @@ def _profile_mistakes(
 
 
 def to_yaml(settings: Settings) -> str:
-    """The text of a settings file that says the same."""
+    """The text of a settings file with these settings."""
     text: str = yaml.safe_dump(msgspec.to_builtins(settings), sort_keys=False, allow_unicode=True)
     return text
 
 
 def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, dict[Key, Found]]:
-    """Read a YAML file as one msgspec struct, whose JSON Schema is `schema`.
+    """Read a YAML file as one msgspec struct with the JSON Schema `schema`.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, d
 def as_struct(
     path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
 ) -> T:
-    """Convert what stands at a key of a YAML document to a struct. Raises ConfigError as `read_struct`."""
+    """Convert the value at a key of a YAML document to a struct. Raises ConfigError like `read_struct`."""
     struct, wrong = _converted(path, document, found, kind, schema, at)
     strict_yaml.refuse(wrong)
     assert struct is not None  # else something was wrong
@@ -193,10 +193,10 @@ def as_struct(
 def _converted(
     path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
 ) -> tuple[T | None, list[Mistake]]:
-    """The struct, or None and all that is wrong.
+    """The struct, or None and all mistakes.
 
-    msgspec stops at the first mistake: each is taken out of a copy, which is then tried again. What holds a struct
-    without a required key is taken out as a whole; msgspec looks for those last, so nothing in it is passed over.
+    msgspec stops at the first mistake, so this removes each from a copy and tries again. A mapping that lacks a
+    required key is removed whole; msgspec checks for missing keys last, so no other mistake in it is overlooked.
     """
     value = document
     for name in at:
@@ -222,7 +222,7 @@ def _converted(
 
 
 def _take_out(value: dict[str, Any], key: Key) -> bool:
-    """Remove the value of a key; the whole list where a list is on the way. False where there is nothing to remove."""
+    """Remove a key's value, or the whole list that contains it. Return False if there is nothing to remove."""
     for k, name in enumerate(key):
         if name not in value:
             return False
@@ -273,9 +273,9 @@ def _source_at(source: Source, folder: Path) -> Source:
 def _explain(
     message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]
 ) -> tuple[list[Key], Callable[[Key], str], Key]:
-    """Of one msgspec error, which names a JSON path and one field: keys, what is wrong with each, and what to remove.
+    """Explain one msgspec error, which names a JSON path and one field: keys, each one's problem, the key to remove.
 
-    A key that is missing though the file has it was a mistake before, and is none again.
+    A missing key that the file does have was an earlier mistake and is not reported again.
     """
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
     key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
@@ -303,10 +303,10 @@ def _at(value: Any, key: Key) -> Any:
 
 
 def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """JSON Schema of the value at `key`; a tagged union is resolved by the tag that `value` gives."""
+    """The JSON Schema of the value at `key`; the tag in `value` resolves a tagged union."""
     schema = _resolved(root, value, root)
     for name in key:
-        if "discriminator" in schema:  # no known tag was given: the only key to name is the tag itself
+        if "discriminator" in schema:  # the tag is missing or unknown, so only the tag itself can be explained
             return {"enum": list(schema["discriminator"]["mapping"])}
         value = value[int(name)] if isinstance(value, list) else value.get(name)
         schema = _resolved(schema["items"] if "items" in schema else schema["properties"][name], value, root)
@@ -314,7 +314,7 @@ def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
 
 
 def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """`schema` with its reference followed, and the struct that the tag in `value` chooses."""
+    """`schema` with its reference followed, and its union resolved by the tag in `value`."""
     if "anyOf" in schema and "discriminator" not in schema and isinstance(value, dict):  # a struct, or null
         schema = next((option for option in schema["anyOf"] if "$ref" in option), schema)
     if "anyOf" in schema and isinstance(value, list):  # a list, or null
@@ -327,7 +327,7 @@ def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[
 
 
 def expectation(schema: dict[str, Any], given: object = None) -> str:
-    """What a person should write there in place of what is given."""
+    """A description, for a person, of the values that `schema` accepts."""
     if "enum" in schema:
         return f"one of {', '.join(map(str, schema['enum']))}{did_you_mean(given, schema['enum'])}"
     if "anyOf" in schema and "discriminator" not in schema:

@@ -1,4 +1,4 @@
-"""Every setting with its type, range, default and meaning; ``config/default.yaml`` shows the same to a person."""
+"""Every setting with its type, range, default and meaning; ``config/default.yaml`` shows them to people."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):
-    """Images or a video file, as if a camera delivered them."""
+    """Images or a video file in place of a camera."""
 
     path: Annotated[str, Meta(min_length=1, description="a folder of images, an image or a video file")]
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
@@ -47,7 +47,7 @@ class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Simulated(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="simulated"
 ):
-    """The simulated sensor, pressed again and again, or as a file says."""
+    """The simulated sensor, pressed repeatedly or according to a file."""
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
     pressed: Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")] | None = None
@@ -58,13 +58,13 @@ Source = V4l2 | Rpicam | Files | Simulated
 SENSORS = "sensors"
 """The key of a file with several sensors (`settings.several`)."""
 OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
-"""What no two sensors can have in common."""
+"""Keys that sensors cannot share."""
 HAND, FINGER = "hand_id", "hand_T_sensor"
-"""Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""
+"""The keys of a hand and of each of its sensors; not allowed in a file with one sensor."""
 RENAMED = {"displacement": "shear", "before_s": "pre_roll_s"}
-"""Old names of settings, which are refused with the new one."""
+"""Old names of settings to new ones; an old name is refused, and the message names the new one."""
 _ID = "^[A-Za-z0-9_-]{1,64}$"
-_SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # topics of hands lie below tacshade/hand
+_SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # the topics of hands begin with tacshade/hand
 
 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -81,7 +81,7 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Recordings that ``req/record`` asks for."""
+    """Recordings requested by ``req/record``."""
 
     folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")] = (
         "/var/lib/tacshade-edge/recordings"
@@ -90,7 +90,7 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Stitching sessions, where frames have poses."""
+    """Stitching sessions, if frames have poses."""
 
     folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")] = (
         "/var/lib/tacshade-edge/sessions"
@@ -142,7 +142,7 @@ def json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "tacshade-edge settings",
         **msgspec.json.schema(Settings),
-        # What no type says: the budget belongs to `auto`, and `auto` to a budget.
+        # The types cannot say that `auto` needs a budget and that only `auto` may have one.
         "if": {"properties": {"profile": {"enum": [AUTO]}}, "required": ["profile"]},
         "then": {"properties": {"latency_budget_ms": {"type": "number"}}, "required": ["latency_budget_ms"]},
         "else": {"properties": {"latency_budget_ms": {"type": "null"}}},
@@ -167,7 +167,7 @@ def file_schema() -> dict[str, Any]:
         "type": "object",
         "properties": {**common, SENSORS: sensors},
         "additionalProperties": False,
-        # A hand's sensors all have their place in it, and without a hand there is none.
+        # Every sensor of a hand has its place in it; without a hand none has one.
         "if": {"properties": {HAND: {"type": "string"}}, "required": [HAND]},
         "then": _each({"properties": {FINGER: {"type": "array"}}, "required": [FINGER]}),
         "else": _each({"properties": {FINGER: {"type": "null"}}}),
@@ -186,5 +186,5 @@ def _each(sensor: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(settings: Settings) -> str:
-    """First 12 hex digits of the SHA-256 of the settings: distinguishes two configurations in ``info``."""
+    """The first 12 hex digits of the settings' SHA-256, which distinguish configurations in ``info``."""
     return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

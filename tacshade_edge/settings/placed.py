@@ -1,4 +1,4 @@
-"""A place and a turn as people write them in settings: ``[x_mm, y_mm, z_mm, qw, qx, qy, qz]``."""
+"""A position and orientation as people write them in settings: ``[x_mm, y_mm, z_mm, qw, qx, qy, qz]``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PLACE_MAX_MM: Final = 1e6
 
 
 def wrong_with(seven: Sequence[float]) -> str | None:
-    """What no type says of seven numbers: ``found …, expected …``; None where they are sound."""
+    """The mistake in seven numbers that their type cannot find, ``found …, expected …``; None if there is none."""
     away_mm = max(abs(value) for value in seven[:3])
     if away_mm > _PLACE_MAX_MM:
         return f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"

@@ -1,4 +1,4 @@
-"""PRINTER.yaml: what a person states of the machine that presses, for ``tacshade-edge capture --printer``."""
+"""PRINTER.yaml: a person's description of the machine that presses, for ``tacshade-edge capture --printer``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FEED_MOST_MM_S = 100
 
 
 class PrinterFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The keys of PRINTER.yaml: places of the head in the printer's own coordinates, z upwards."""
+    """The keys of PRINTER.yaml: positions of the print head in the printer's own coordinates, z upwards."""
 
     x_mm: _Range
     y_mm: _Range

@@ -1,4 +1,4 @@
-"""SENSOR.yaml: what a person states of a sensor, for ``tacshade-edge calibrate``."""
+"""SENSOR.yaml: a person's description of a sensor, for ``tacshade-edge calibrate``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 def check_value(key: str, text: str) -> float | str:
-    """The value of a key of SENSOR.yaml that a person typed.
+    """Check and return the value that a person typed for a key of SENSOR.yaml.
 
     Raises
     ------
@@ -82,18 +82,18 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def with_visible_circle(text: str, circle: Disc | None) -> str:
-    """The text of a SENSOR.yaml that states another visible circle, or none; every other line stays as it is.
+    """Replace or remove the visible circle in the text of a SENSOR.yaml, leaving every other line unchanged.
 
     Parameters
     ----------
     text : str
-        That `read_sensor` takes.
+        Content of a valid SENSOR.yaml.
     circle : Disc or None
 
     Raises
     ------
     ConfigError
-        The text is not written with a key on each line.
+        The text is not laid out with one key per line.
     """
     key = "visible_circle"
     keys = None if circle is None else {"row_px": circle.row_c, "col_px": circle.col_c, "radius_px": circle.radius_px}
@@ -104,7 +104,7 @@ def with_visible_circle(text: str, circle: Disc | None) -> str:
     changed = text
     if at is not None:
         name, value = at
-        # A block mapping's own end lies behind the comments that follow it.
+        # PyYAML ends a block mapping after the comments that follow it.
         is_block = isinstance(value, yaml.MappingNode) and not value.flow_style
         end = (value.value[-1][1] if is_block else value).end_mark.index
         rest = text[end:] if stated else text[end:].lstrip(" ").removeprefix("\n")

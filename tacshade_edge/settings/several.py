@@ -1,4 +1,4 @@
-"""One settings file with several sensors: what stands beside ``sensors`` holds for each, what is in one for that one.
+"""One settings file with several sensors: keys outside ``sensors`` apply to all, keys in a sensor to that one.
 
 ::
 
@@ -8,7 +8,7 @@
       left-thumb: {calibration: thumb.npz, source: {kind: v4l2, device: /dev/v4l/by-id/thumb}}
       left-index: {calibration: index.npz, source: {kind: v4l2, device: /dev/v4l/by-id/index}, profile: fast}
 
-With ``hand_id`` beside them they are the fingers of a hand, and each has its ``hand_T_sensor``.
+With ``hand_id`` next to ``sensors`` they are the fingers of a hand, and each has its ``hand_T_sensor``.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from tacshade_edge.settings.model import FINGER, HAND, OWN, SENSORS, Settings
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 SENSORS_MAX = 16
-_NEEDED = ("calibration", "source")  # whose defaults would be the same for all
+_NEEDED = ("calibration", "source")  # required, because all sensors would share the defaults
 _FOLDERS = ("recorder", "stitching")
 
 Part = tuple[dict[str, Any], dict[Key, Found]]
 
 
 def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[list[Part], list[Mistake]]:
-    """What a file says of each sensor, as a file of that sensor alone would, and what is wrong with the whole.
+    """Split a file into one part per sensor, each like a file of that sensor alone, and find the whole's mistakes.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
     value : dict
         The file's values, with ``sensors``.
     found : dict
-        Where each key stands.
+        The place of each key.
     """
     mistakes: list[Mistake] = []
 
@@ -86,7 +86,7 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
 
 
 def _over(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """What all have with what one has over it, also key by key in a section that both have."""
+    """The common settings overridden by a sensor's own, key by key within a section that both have."""
     both = {
         key: {**common[key], **own[key]} for key in common.keys() & own.keys() if _are_mappings(common[key], own[key])
     }
@@ -98,7 +98,7 @@ def _are_mappings(*values: object) -> bool:
 
 
 def _places(own: dict[str, Any]) -> dict[str, str]:
-    """What one sensor alone can have: its calibration, whose reference it follows, and its camera."""
+    """Settings that sensors cannot share: the calibration (with its reference) and the camera."""
     found = {"calibration": f"calibration {own['calibration']}"} if "calibration" in own else {}
     of_source = own.get("source")
     for name in ("device", "camera"):
@@ -108,7 +108,7 @@ def _places(own: dict[str, Any]) -> dict[str, str]:
 
 
 def own_folders(settings: Settings, found: dict[Key, Found]) -> Settings:
-    """Settings whose folders are below those of all, named by the sensor's id, where it names none of its own."""
+    """Put a sensor's folders below the common ones, named by its id, unless the sensor names its own."""
     changed = {}
     for section in _FOLDERS:
         where = found.get((section, "folder"))

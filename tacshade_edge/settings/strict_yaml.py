@@ -18,12 +18,12 @@ from tacshade_edge.regular_files import read_regular
 Key = tuple[str, ...]
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 _BYTES_MAX = 1 << 20
-_VALUES_MAX = 10_000  # which the reader takes about a third of a second for
+_VALUES_MAX = 10_000  # the reader needs about a third of a second for them
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a key stands and the text of its value; `at` is the key that its path is shown below."""
+    """A key's line and the text of its value; messages show the key's path below `at`."""
 
     line: int
     text: str
@@ -32,7 +32,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """What is wrong with the value of a key.
+    """A mistake in the value of a key.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Mistake:
     text : str
         ``FILE:LINE: path.to.key: found …, expected …``.
     line : int or None
-        None of a key that is missing.
+        None if the key is missing.
     """
 
     key: Key
@@ -49,14 +49,14 @@ class Mistake:
 
 
 def refuse(mistakes: Sequence[Mistake]) -> None:
-    """Raise ConfigError with every mistake in the order of their lines, the missing keys last; none is fine."""
+    """Raise ConfigError if there are mistakes, with all of them in the order of their lines, missing keys last."""
     if mistakes:
         texts = [m.text for m in sorted(mistakes, key=lambda m: (m.line is None, m.line))]
         raise ConfigError(texts[0], others=texts[1:])
 
 
 class _WrongError(Exception):
-    """Leaves a value whose mistake was noted."""
+    """Abandons a value after its mistake was recorded."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -81,14 +81,14 @@ def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
 
     Returns
     -------
-    value : the document as dicts, lists and scalars, without the values that are a mistake
-    found : where each key path stands; list indices are keys too, the whole document is ``()``
+    value : the document as dicts, lists and scalars, without the wrong values
+    found : the place of each key path; list indices are keys too, and the whole document is ``()``
     mistakes : values outside the subset
 
     Raises
     ------
     ConfigError
-        Not readable, not YAML, or all of it outside the subset; ``FILE:LINE:`` leads the text.
+        The file is unreadable, not YAML, or entirely outside the subset; the text begins with ``FILE:LINE:``.
     """
     try:
         data = read_regular(path, _BYTES_MAX)
@@ -118,7 +118,7 @@ def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
 
 
 class _Reader:
-    """Values of nodes; notes where each stands and what is wrong."""
+    """Converts nodes to values and records each one's place and mistakes."""
 
     def __init__(self, path: Path, loader: _Loader) -> None:
         self._path = path
@@ -127,7 +127,7 @@ class _Reader:
         self.mistakes: list[Mistake] = []
 
     def value(self, node: yaml.Node, key: Key) -> Any:
-        """Value of one node and everything below. Raises _WrongError."""
+        """The value of a node and everything below it. Raises _WrongError."""
         line = node.start_mark.line + 1
         if isinstance(node, yaml.MappingNode):
             self.found.setdefault(key, Found(line, "a mapping"))
@@ -135,7 +135,7 @@ class _Reader:
         if isinstance(node, yaml.SequenceNode):
             self.found.setdefault(key, Found(line, "a list"))
             return [self.value(item, (*key, str(i))) for i, item in enumerate(node.value)]
-        # the source, so that an octal or a bare `yes` is shown as it was typed
+        # Show the source text, so that an octal or a bare `yes` appears as typed.
         mark = node.start_mark
         source = mark.buffer[mark.pointer : node.end_mark.pointer] if mark.buffer else ""
         text = shown(" ".join(source.split()), 60)
@@ -170,7 +170,7 @@ class _Reader:
         return values
 
     def _wrong(self, line: int, key: Key, problem: str) -> _WrongError:
-        """Note a mistake."""
+        """Record a mistake and return the exception to raise."""
         self.mistakes.append(Mistake(key, f"{self._path}:{line}: {dotted(key)}: {problem}", line))
         return _WrongError()
 

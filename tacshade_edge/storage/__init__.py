@@ -1,1 +1,1 @@
-"""Files that this program reads and writes: whole or not at all, and one clear line where they cannot be used."""
+"""Reads and writes this program's files, whole or not at all; a file that cannot be used gives one clear line."""

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and the one line that says why one could not be written."""
+"""Writes files whole or not at all, and says in one line why a file could not be written."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
 
 FREE_FLOOR_BYTES = 256 * 2**20
-"""Recordings and sessions leave this much free: a full disk harms more than them."""
+"""Free space that recordings and sessions leave on the disk: a full disk harms more than just them."""
 
 
 @contextlib.contextmanager
 def disk_errors(folder: Path) -> Iterator[None]:
-    """Turn an OSError into a DeviceError that names the file, or the folder where no file is known."""
+    """Turn an OSError into a DeviceError that names the file, or `folder` if no file is known."""
     try:
         yield
     except OSError as error:
@@ -31,14 +31,14 @@ def require_free(folder: Path, floor_bytes: int | None = None) -> None:
     Parameters
     ----------
     folder : Path
-        It, or the first of its parents that is there, shows the disk.
+        A folder on the disk; it need not exist yet.
     floor_bytes : int, optional
-        `FREE_FLOOR_BYTES`.
+        Least free space; `FREE_FLOOR_BYTES` by default.
 
     Raises
     ------
     DeviceError
-        DISK_FULL.
+        With code DISK_FULL.
     """
     floor_bytes = FREE_FLOOR_BYTES if floor_bytes is None else floor_bytes
     existing = next(path for path in (folder, *folder.parents) if path.exists())
@@ -51,19 +51,19 @@ def require_free(folder: Path, floor_bytes: int | None = None) -> None:
 
 
 def part(path: Path) -> Path:
-    """Where a file is while it is not whole."""
+    """The path of an incomplete file."""
     return path.with_name(path.name + ".part")
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
-    """Write beside the place, and rename. Raises OSError, and nothing is left then.
+    """Write a file under a temporary name, then rename it. Raises OSError and then leaves nothing behind.
 
     Parameters
     ----------
     path : Path
     data : bytes, or an iterable of them
     sync : bool
-        Wait for the disk; False for one of many, which `sync` is called for later.
+        Wait for the disk; False if the caller writes many files and calls `sync` later.
     """
     partial = part(path)
     try:
@@ -80,7 +80,7 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
 
 
 def sync(path: Path) -> None:
-    """Wait until the disk has a file's bytes, or a folder's names. Raises OSError."""
+    """Wait until a file's bytes, or a folder's names, are on the disk. Raises OSError."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

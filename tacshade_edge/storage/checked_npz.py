@@ -1,4 +1,4 @@
-"""An ``.npz`` of canonical JSON and some arrays, with the CRC-32 of both."""
+"""An ``.npz`` file of canonical JSON and some arrays, with the CRC-32 of both."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
 
 BYTES_MAX: Final = 64 << 20
-"""Of the file, and of all that is packed in it: two images of 4096x4096 px have half of it."""
+"""Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
 _MEMBERS_MAX: Final = 16
 
-# What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
+# numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (
     KeyError,
     ValueError,
@@ -40,14 +40,14 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What is in such a file.
+    """The content of such a file.
 
     Attributes
     ----------
     meta : mapping
-        Of what JSON knows.
+        JSON values only.
     arrays : mapping of str to array
-        Their order counts.
+        The checksum depends on their order.
     """
 
     meta: Mapping[str, Any]
@@ -55,11 +55,11 @@ class Content:
 
     @property
     def crc32(self) -> int:
-        """CRC-32 of both."""
+        """The CRC-32 of `meta` and `arrays`."""
         return _crc32(_json(self.meta), self.arrays)
 
     def packed(self) -> bytes:
-        """The bytes of the file."""
+        """The file's bytes."""
         stream = io.BytesIO()
         meta = np.frombuffer(_json(self.meta), dtype=np.uint8)
         np.savez_compressed(stream, meta=meta, crc32=np.uint32(self.crc32), **self.arrays)
@@ -67,22 +67,22 @@ class Content:
 
 
 def read(name: str, what: str, writer: str) -> tuple[Content, int]:
-    """Read a file and its CRC-32.
+    """Read a file's content and its CRC-32.
 
     Parameters
     ----------
     name : str
     what, writer : str
-        What it should be, and what writes it, for the text of an error.
+        The kind of file and the program that writes it, for error messages.
 
     Raises
     ------
     ConfigError
-        Absent, something else, or damaged.
+        The file is absent, of another kind, or damaged.
     """
     try:
         members = _members(read_regular(name, BYTES_MAX))
-        # In the file's order; another version has other arrays, and its checksum is of those.
+        # In the file's order; another version may have other arrays, which its checksum covers.
         arrays = {key: _array(data) for key, data in members.items()}
         meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
     except OSError as error:
@@ -103,17 +103,17 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
 
 
 def _members(data: bytes) -> dict[str, bytes]:
-    """What is in an .npz by its name, once the archive's table states sizes that can be. Raises one of `_DAMAGE`."""
+    """The members of an .npz by name, if the archive's table states acceptable sizes. Raises one of `_DAMAGE`."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
         if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > BYTES_MAX:
             raise ValueError("too many or too large arrays")
-        # No more than that size is ever made of what is packed.
+        # zipfile never unpacks more than the stated size.
         return {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
 
 
 def _array(data: bytes) -> npt.NDArray[Any]:
-    """An array of numbers from a .npy, as long as its header says. Raises one of `_DAMAGE`."""
+    """The array of numbers in a .npy, which must be as long as its header says. Raises one of `_DAMAGE`."""
     stream = io.BytesIO(data)
     if npy.read_magic(stream) != (1, 0):
         raise ValueError("another version of .npy")

@@ -1,4 +1,4 @@
-"""A folder, or a file in it, with one owner: the kernel gives the lock back when the process ends, however it ends."""
+"""Locks a folder, or a file in it, for one process; the kernel releases the lock however the process ends."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _OWNER_BYTES_MAX = 200
 
 
 class FolderLock:
-    """A folder that is this process's until `release`, or its end.
+    """A lock that this process holds on a folder until `release` or its own end.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there, unless a file of it is meant.
+        Created if it does not exist, unless `file` is given.
     owner : str
-        Said to others who want the folder, with this process's id.
+        Name of the owner, which others who want the folder see with this process's id.
     file : str, optional
-        Of the folder's files this one alone is owned.
+        Lock only this file of the folder.
 
     Raises
     ------
     DeviceError
-        IN_USE, with who holds it; or it cannot be written.
+        Another process holds the lock (IN_USE, with its name), or the lock cannot be written.
     """
 
     def __init__(self, folder: Path, owner: str, *, file: str = "") -> None:
@@ -38,7 +38,7 @@ class FolderLock:
         with disk_errors(folder):
             if not file:
                 folder.mkdir(parents=True, exist_ok=True)
-            # Never deleted: a lock on a file that lost its name keeps nobody out.
+            # Never deleted: a lock on an unlinked file keeps nobody out.
             self._descriptor = os.open(
                 path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644
             )
@@ -59,5 +59,5 @@ class FolderLock:
             os.pwrite(self._descriptor, f"{owner}, process {os.getpid()}\n".encode()[:_OWNER_BYTES_MAX], 0)
 
     def release(self) -> None:
-        """Let others have it."""
+        """Release the lock."""
         os.close(self._descriptor)

@@ -1,4 +1,4 @@
-"""Image files, whole or refused."""
+"""Reads and writes image files; refuses incomplete ones."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def read_image(path: Path) -> U8:
     Returns
     -------
     uint8 (H, W) grey or (H, W, 3) BGR
-        As stored: turned by no EXIF mark, an alpha channel left out, 16 bits brought to 8.
+        As stored, ignoring EXIF orientation; without an alpha channel, and 16 bits reduced to 8.
 
     Raises
     ------
     DecodeError
-        Not readable, not an image, too large, or cut short.
+        The file is unreadable, not an image, too large, or truncated.
     """
     try:
         data = read_regular(path, BYTES_MAX)
@@ -41,5 +41,5 @@ def read_image(path: Path) -> U8:
 
 
 def png(image: U8) -> bytes:
-    """An image's PNG file, lossless and quickly made."""
+    """Encode an image as a PNG file, lossless and fast."""
     return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())

@@ -1,4 +1,4 @@
-"""The values that the layers hand each other. Frozen; every array in them is read-only."""
+"""The values that the layers pass to each other. Frozen; every array in them is read-only."""
 
 from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
 from tacshade_edge.types.calibration import Binarisation, Calibration, Fit, FittedNetwork, Polarity, ProfileFit

@@ -1,4 +1,4 @@
-"""Arrays by their element, and how they are made read-only."""
+"""Array types by element, and a function that makes arrays read-only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Everything that is known of one sensor."""
+"""Everything that is known about one sensor."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
 
 _MOST, _LEAST = 1e6, 1e-6
-"""No length, scale or factor of a sensor comes near them, in mm or px; only its camera may lie at its middle."""
+"""Limits that no length (mm or px), scale or factor of a sensor comes near; only a camera distance may be smaller."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """How well a refitted profile finds the depth of the presses, each by a refit to all the others.
+    """How well a refitted profile finds the depth of presses, each press judged by a refit to all the others.
 
     Attributes
     ----------
     presses : int
-        Those whose contact the profile found.
+        Presses whose contact the profile found.
     depth_mae_mm, depth_worst_mm : float
         Mean and greatest error of the greatest h, mm.
     """
@@ -39,18 +39,18 @@ class ProfileFit:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well the ball presses of a calibration agree, with each other and with the refitted profiles.
+    """How well the ball presses of a calibration agree with each other and with the refitted profiles.
 
     Attributes
     ----------
     presses : int
-        Those that were used.
+        Presses that were used.
     agreement_mae_mm : float
-        Mean error of a press's depth predicted from all the others, ball and place being known.
+        Mean error of a press's depth predicted from all the others, with ball and place known.
     position_mae_mm : float
-        Mean distance of the located from the stated places; 0 where none was stated.
+        Mean distance between located and stated places; 0 if none was stated.
     profiles : mapping of str to ProfileFit
-        Of each profile that was refitted.
+        The fit of each refitted profile.
     """
 
     presses: int
@@ -61,29 +61,29 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:
-    """A profile's network that was trained on with a sensor's own presses (``calibrate --fit``).
+    """A profile's network, trained further with a sensor's own presses (``calibrate --fit``).
 
     Attributes
     ----------
     layout : str
-        Of the shipped network that it began with (`inference.onnx_weights`): it runs in no other.
+        Layout of the shipped network that training began with (`inference.onnx_weights`); the weights run in no other.
     weights : float32 (P,)
-        All of its weights, in the order of the shipped file's.
+        All weights, in the order of the shipped file.
     correction : float32 (channels, N, N)
-        Added to what the sensor's reference adds to the first layer (`core.depth.Network.sense`), whatever reference
-        the sensor has by then.
+        Added to what the sensor's reference adds to the first layer (`core.depth.Network.sense`), even after the
+        reference has changed.
     held_out : int
-        Presses that it was not trained with, by which it was chosen.
+        Number of presses kept out of the training, which decided whether to keep the network.
     error_mm, shipped_error_mm : float
-        On those, at the cells where the indenter's surface is known: mean error of h, its own and that of the shipped
-        network with its one factor; each indenter counts alike.
+        Mean error of h on those presses, at the cells where the indenter's surface is known, of this network and of
+        the shipped one with its one factor; each indenter counts alike.
     error_scale : float or None
-        On σ, as those presses show (`core.depth.sigma`); None where it was not measured.
+        Factor on σ, measured on those presses (`core.depth.sigma`); None if it was not measured.
 
     Raises
     ------
     ValueError
-        A weight that is not finite, an `error_scale` that is not above 0 or beyond all measure.
+        A weight is not finite, or `error_scale` is not above 0 or is implausibly large.
     """
 
     layout: str
@@ -104,7 +104,7 @@ class FittedNetwork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything that is known of one sensor; stored as one ``.npz`` by ``storage.calibration.calibration_file``.
+    """Everything that is known about one sensor; ``storage.calibration.calibration_file`` stores it as one ``.npz``.
 
     Attributes
     ----------
@@ -112,14 +112,14 @@ class Calibration:
     polarity : str
         ``bright`` when contact raises the white ratio, ``dark`` when it lowers it.
     binarisation : str
-        The method that made `reference_white`; frames must be binarised alike.
+        Method that made `reference_white`; frames must be binarised the same way.
     image_height_px, image_width_px : int
         Size of every frame.
     pitch_px : float
         Marker pitch at the middle of the disc, in px.
     reference_white : uint8 (H, W)
-        255 times the mean over the references of the binarised image: eq. 1 is linear, so g0 for any
-        window and stride is a box mean of it.
+        255 times the mean of the references' binarised images: eq. 1 is linear, so g0 for any window and stride is a
+        box mean of it.
     reference_grey : uint8 (H, W)
         Mean of the references' grey images: the light, and the surround that must not move.
     noise_grey : float
@@ -127,24 +127,24 @@ class Calibration:
     alpha : float
         The paper's α: depth of a normalised height of 1, in pixels.
     factors : mapping of str to float
-        On h, of each profile that was refitted to presses (`core.calibration.refit.gain`).
+        Factor on h of each profile that was refitted to presses (`core.calibration.refit.gain`).
     fit : Fit or None
-        How good the fit to ball presses is; None without presses.
+        Quality of the fit to ball presses; None without presses.
     fitted : mapping of str to FittedNetwork
-        Of each profile that has weights of its own; its factor is not used.
+        Network of each profile that has weights of its own; the profile's factor is then unused.
     error_scales : mapping of str to float
-        On σ, of each profile whose shipped network's errors presses have shown (`core.depth.sigma`).
+        Factor on σ of each profile whose shipped network was measured on presses (`core.depth.sigma`).
     touch : mapping of str to TouchModel
-        Of each profile that has learnt from labelled frames (``calibrate --labels``).
+        Touch model of each profile that has learnt from labelled frames (``calibrate --labels``).
     flange_T_sensor : 7 floats
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
-        CRC-32 of the stored content; 0 until it was stored.
+        CRC-32 of the stored content; 0 until it is stored.
 
     Raises
     ------
     ValueError
-        A number that no sensor has: NaN, not above 0, or beyond all measure.
+        A number is NaN, not above 0, or implausibly large, so that no sensor has it.
     """
 
     geometry: Geometry
@@ -170,7 +170,7 @@ class Calibration:
         _check_numbers(self)
 
     def error_scale(self, profile: str) -> float | None:
-        """That of the network that the profile runs, fitted or shipped; None where no presses have shown it."""
+        """Factor on σ of the network that the profile runs, fitted or shipped; None if no presses have shown it."""
         fitted = self.fitted.get(profile)
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
 
@@ -191,7 +191,7 @@ def _check_numbers(calibration: Calibration) -> None:
         "row_c": (disc.row_c, abs(disc.row_c) < _MOST),
         "col_c": (disc.col_c, abs(disc.col_c) < _MOST),
         "visible_half_angle_deg": (geometry.visible_half_angle_deg, _LEAST < geometry.visible_half_angle_deg <= 90),
-        "alpha": (calibration.alpha, 0 <= calibration.alpha < _MOST),  # the least one halved is 0
+        "alpha": (calibration.alpha, 0 <= calibration.alpha < _MOST),  # half of the smallest float is 0
         "noise_grey": (calibration.noise_grey, 0 <= calibration.noise_grey <= 255),
     }
     for name, (value, good) in ranges.items():

@@ -1,4 +1,4 @@
-"""One image of a camera, and where the robot held it."""
+"""One image from a camera, and where the robot held the camera."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class Frame:
     Attributes
     ----------
     seq : int
-        Counts the frames of this source from 0; a gap is a frame that the source knows it lost.
+        Counts the frames of this source from 0; a gap marks frames that the source knows it lost.
     t_ns : int
         Capture time, CLOCK_MONOTONIC.
     wall_ns : int
         The same instant as Unix time, for metadata only.
     image : uint8 (H, W) grey or (H, W, 3) BGR
     pose : Pose or None
-        ``base_T_flange`` at `t_ns`, where known.
+        ``base_T_flange`` at `t_ns`, if known.
     pose_error_us : int
-        How far from `t_ns` the pose is known; 0 without one.
+        Greatest difference between `t_ns` and the pose's time, µs; 0 without a pose.
     """
 
     seq: int

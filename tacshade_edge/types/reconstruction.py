@@ -1,4 +1,4 @@
-"""What becomes of one frame: heights, points, objects."""
+"""The results of one frame: heights, points, objects."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class ObjectCloud:
 
 
 class Need(Flag):
-    """How much of a frame is asked for: shear and the error of depth have depth with them, a touch has both.
+    """How much of a frame is requested: shear and the error of depth include depth, a touch includes shear and depth.
 
-    Every bit has a name, those of ``ONLY`` for that alone: Python 3.11.2, Debian 12's, loses others from a union.
+    Every bit has a name, hence the ``ONLY`` members: Python 3.11.2 (Debian 12) drops unnamed bits from a union.
     """
 
     CONTACT = 0
@@ -87,27 +87,27 @@ class TouchedObject:
     Attributes
     ----------
     label : int
-        From 1, the greatest area first.
+        From 1; the greatest area comes first.
     centroid_mm, extent_mm : (float, float, float)
-        Mean, and max - min, of its points.
+        Mean, and max - min, of the object's points.
     depth_max_mm : float
-        Its greatest h.
+        Greatest h of the object.
     area_mm2 : float
     normal : (float, float, float)
         Unit normal of the plane through its points, away from the camera.
     shear_mm : (float, float) or None
-        Mean shear along x and y of the skin that it touches; None where the solver reports none.
+        Mean shear along x and y of the skin that the object touches; None if the solver reports none.
     twist_deg : float or None
-        Angle about z, from x towards y, of the least-squares rotation of that skin; None also where it is too small.
+        Angle about z, from x towards y, of the least-squares rotation of that skin; None also for a tiny contact.
     strain_mm : float or None
-        Root mean square of what shear and rotation leave: nothing of skin that it holds.
+        Root mean square of the motion that shear and rotation leave unexplained: 0 for skin that is held.
     id : int or None
-        The same while it touches, from frame to frame; None of a single image, as what follows.
+        The same from frame to frame while the object touches; None for a single image, as are the attributes below.
     slip : Slip or None
     slip_mm_s : float or None
-        Speed of its imprint over the skin.
+        Speed of the object's imprint over the skin.
     margin : float or None
-        Before it slips: 1 firm, 0 sliding (`core.contact.margin`).
+        Margin before the object slips: 1 is firm, 0 is sliding (`core.contact.margin`).
     """
 
     label: int
@@ -127,15 +127,15 @@ class TouchedObject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """What one frame gave.
+    """The result of one frame.
 
     Attributes
     ----------
     seq, t_ns, wall_ns : int
-        The frame's.
+        Those of the frame.
     profile : str
     valid : bool
-        False: the frame could not be used, `reason` says why; height 0 inside the disc.
+        False if the frame could not be used: `reason` says why, and height is 0 inside the disc.
     reason : Reason or None
         None when valid.
     contact : bool
@@ -153,15 +153,15 @@ class Reconstruction:
     repaired_px : int
         Pixels whose solver value was not finite and was replaced.
     shear_mm : float32 (rows, cols, 2) or None
-        Shear along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
-        outside the disc, 0 without contact. None where the solver reports none.
+        Shear along x and y, from any cause, of the skin that a cell's ray meets; on the grid of `height`, NaN outside
+        the disc, 0 without contact. None if the solver reports none.
     sigma_mm : float32 (rows, cols) or None
-        Standard deviation of `height` where its `contact` is true, elsewhere NaN (`core.depth.sigma`). None where the
+        Standard deviation of `height` where its `contact` is true, NaN elsewhere (`core.depth.sigma`). None if the
         solver reports none.
     untrusted : bool (rows, cols) or None
-        Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
+        Cells that do not show the sensor's skin: their values mean nothing, and none counts as contact. None: no cell.
     touch : Touch or None
-        None without contact, or where nobody asked.
+        None without contact, or if nobody requested it.
     """
 
     seq: int
@@ -190,7 +190,7 @@ class Reconstruction:
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
-        """Mean shear over all cells of the contact; None without contact or where none is reported."""
+        """Mean shear over all cells of the contact, mm; None without contact or if the solver reports none."""
         if self.shear_mm is None or not self.contact:
             return None
         x_mm, y_mm = self.shear_mm[self.height.contact].mean(axis=0, dtype=np.float64).tolist()

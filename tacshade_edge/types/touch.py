@@ -1,4 +1,4 @@
-"""A touch as a few numbers."""
+"""A touch as a few numbers, and the model that predicts them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ QUANTITIES = (
     "torque_y_nmm",
     "torque_z_nmm",
 )
-"""Columns of LABELS.csv; the first six are known without labels too."""
+"""Columns of LABELS.csv; the first six are also known without labels."""
 
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """What is known of the touch that a frame shows.
+    """The touch that a frame shows, as numbers.
 
     Attributes
     ----------
     values, sigma : mapping of str to float or None
-        Of each quantity, in the unit of its name, and one standard deviation; None where the model does not know.
+        Value and standard deviation of each quantity, in the unit of its name; None if the model does not know it.
     reason : Reason or None
-        Why it does not know one or all.
+        Why the model does not know some or all of them.
     """
 
     values: Mapping[str, float | None] = field(default_factory=dict)
@@ -49,49 +49,49 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchModel:
-    """What was learnt for one profile. D features, m components, M centres, K basis functions, Q quantities.
+    """A profile's touch model. D features, m components, M centres, K basis functions, Q quantities.
 
     Attributes
     ----------
     names : tuple of str
-        Of the quantities, some of `types.touch.QUANTITIES`.
+        Quantities that the model predicts, from `types.touch.QUANTITIES`.
     networks : str
-        Of which networks the features are (`inference.touch_features.networks_digest`).
+        Digest of the networks that compute the features (`inference.network.touch_networks`).
     mean, deviation : float32 (D,)
-        Of each feature over the table; the deviation is above 0.
+        Mean and standard deviation of each feature over the table; the deviation is above 0.
     components : float32 (D, m)
-        From standardised features to coordinates of which the table's mean square, summed, is 1.
+        Map from standardised features to coordinates whose mean squares over the table add to 1.
     scale : float
         Length of a standardised feature vector whose coordinates have length 1.
     spread : float32 (m,)
         Standard deviation of each coordinate over the table, descending.
     centres : float32 (M, m)
     width : float
-        Of the squared-exponential kernel.
+        Width of the squared-exponential kernel.
     basis : float32 (m + M, K)
-        From kernel values to the basis functions that vary most over the table, uncorrelated there.
+        Map from kernel values to the basis functions that vary most over the table and are uncorrelated there.
     weights : float32 (m + M, Q)
-        Of the kernel values in the quantity's mean.
+        Weights of the kernel values in each quantity's mean.
     precision : float32 (K, Q)
-        Posterior variance of each basis function's weight, in parts of `noise`².
+        Posterior variance of each basis function's weight, in units of `noise`².
     ridge, offset, noise : float32 (Q,)
-        Regularisation, mean over the table, and the standard deviation of a label about the model.
+        Regularisation, mean over the table, and standard deviation of a label about the model.
     low, high : float32 (Q,)
-        Labels of the table end there.
+        Range of the table's labels.
     leverage_max, residual_max : float
-        A frame beyond either is unlike those of the table: `leverage` of its coordinates, and the part of its
-        standardised features that the components leave out.
+        Limits beyond which a frame is unlike those of the table: for the `leverage` of its coordinates, and for the
+        share of its standardised features that the components leave out.
     imprint_weights : float32 (T, I)
-        From the terms of the answered quantities to the imprint that they had in the table (`core.touch.imprint`).
+        Map from the terms of the predicted quantities to their imprint in the table (`core.touch.imprint`).
     imprint_precision : float32 (I, I)
-        Inverse covariance of what the imprints of held-out frames are off by, divided by I.
+        Inverse covariance of the imprint errors of held-out frames, divided by I.
     imprint_max : float
-        A frame whose squared distance is beyond it shows another object than the table's.
+        Greatest squared distance of an imprint; a frame beyond it shows an object unlike the table's.
 
     Raises
     ------
     ValueError
-        Shapes that do not belong together, or a number that is not finite.
+        Shapes do not match, a number is not finite, or a deviation, width or limit is not above 0.
     """
 
     names: tuple[str, ...]
@@ -152,7 +152,7 @@ TOUCH_ARRAYS = (
 
 
 def _shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
-    """The shape of each array, by those of `components`, `centres`, `basis` and `imprint_weights`."""
+    """The expected shape of each array, from those of `components`, `centres`, `basis` and `imprint_weights`."""
     if (
         any(getattr(model, name).ndim != 2 for name in ("components", "centres", "basis", "imprint_weights"))
         or not model.names

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""CPU time of a frame beside another checkout of the project: rounds of both take turns, on one thread each.
+"""Compare the CPU time of a frame with that of another checkout of the project, in alternating rounds on one thread.
 
 ::
 
     git worktree add /tmp/before c16ef09
     .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60]
 
-Colour frames of 640x480 of the simulated sensor, with nothing touching and with a cube that covers a fifth of the
-disc; each checkout calibrates it by itself. ``contact`` is depth and cloud, ``shear`` these with shear, ``everything``
-these with the errors of depth and with all payloads encoded, but for the touch, which older checkouts do not have. A
+The frames are 640x480 colour images of the simulated sensor, untouched and under a cube that covers a fifth of the
+disc; each checkout makes its own calibration. ``contact`` computes depth and cloud, ``shear`` adds shear, and
+``everything`` adds the errors of depth and encodes all payloads except the touch, which older checkouts lack. Each
 figure is the median over rounds of a round's median (p50) or 99th percentile (p99); the ratio is the median of the
-rounds' ratios. CPU time, so that other work on the machine lengthens it little.
+rounds' ratios. Other work on the machine lengthens CPU time little.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NO_ANSWER = "none"
 
 
 def serve(frames: int) -> None:
-    """Time frames for whoever asks, of the checkout that is imported."""
+    """Time frames of the imported checkout, one measurement for each line on stdin."""
     import cv2
 
     from tacshade_edge import types
@@ -80,7 +80,7 @@ def serve(frames: int) -> None:
 
 
 class Checkout:
-    """A process of one checkout."""
+    """A process that times the frames of one checkout."""
 
     def __init__(self, root: Path, frames: int) -> None:
         command = [sys.executable, __file__, str(root), "--serve", "--frames", str(frames)]
@@ -92,7 +92,7 @@ class Checkout:
             raise SystemExit(f"{root}: its code cannot be timed")
 
     def time_ms(self, profile: str, kind: str) -> tuple[float, float] | None:
-        """p50 and p99; None where the checkout has no such thing."""
+        """p50 and p99 in ms; None if the checkout does not have this profile or kind."""
         assert self._process.stdin
         self._process.stdin.write(f"{profile}/{kind}\n")
         self._process.stdin.flush()
@@ -108,7 +108,7 @@ class Checkout:
 
 
 def main() -> None:
-    """Compare."""
+    """Time both checkouts and print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--rounds", type=int, default=20)

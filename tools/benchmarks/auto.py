@@ -1,12 +1,12 @@
-"""Watch `auto` under a load: the daemon on pre-rendered frames, and busy processes beside it for a while.
+"""Watch `auto` under load: the daemon runs on pre-rendered frames while busy processes compete with it for a time.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.auto --budget-ms 10 [--fps 60] [--idle 10] [--load 30] [--after 90]
         [--processes 4]
 
-The processes multiply matrices in an endless loop. One line a second: what `health` told, and each change of profile as
-`info` told it. The frames are those of `tools.benchmarks.daemon`: 640x480, nearly all in contact.
+The processes multiply matrices in an endless loop. Every second one line shows the last `health`; another line shows
+each change of profile in `info`. The frames are those of `tools.benchmarks.daemon`: 640x480, nearly all in contact.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ BUSY = "import numpy\na = numpy.random.rand(200, 200)\nwhile True: a @ a"
 
 
 class Told:
-    """Prints what the daemon tells, with the seconds since the start."""
+    """Prints the daemon's reports with the seconds since the start."""
 
     def __init__(self, port: int) -> None:
         self._began_s = time.monotonic()
@@ -66,13 +66,13 @@ class Told:
         )
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the broker."""
         self._client.disconnect()
         self._client.loop_stop()
 
 
 def main() -> int:
-    """Run it once; exit 1 when the daemon did not end well."""
+    """Run once; return 1 if the daemon did not exit cleanly."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--budget-ms", type=float, required=True)
     parser.add_argument("--fps", type=float, default=60.0)

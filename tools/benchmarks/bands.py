@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""What looking at a picture in bands that stay in the cache would save: the pixel steps before the network, both ways.
+"""Measure what processing an image in bands that fit the cache would save in the pixel steps before the network.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.bands [--rounds 40]
 
-The calls of OpenCV that a frame's pixels go through between camera and gate (halving, the check's two norms, mask,
-threshold, integral image), over the whole picture and over bands of so many rows, in turns. Between two frames 16 MB of
-other memory are read, as at 60 frames a second other work has the caches. CPU time, medians, microseconds.
+The OpenCV calls between camera and gate (halving, the check's two norms, mask, threshold, integral image) run in turn
+over the whole image and over bands of several heights. Between two frames the program reads 16 MB of other memory,
+since at 60 frames a second other work fills the caches. Figures are medians of CPU time in microseconds.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from tacshade_edge.types import I32, U8
 
 SIZES = {"640x480, halved": (480, 640, True), "640x480": (480, 640, False), "1280x960": (960, 1280, False)}
 BANDS = (16, 32, 64, 128)
-"""Rows of the camera; even, so that each can be halved by itself."""
+"""Heights of the bands in camera rows; even, so that each band can be halved separately."""
 
 
 class Steps:
-    """The steps of one size, with their buffers."""
+    """The pixel steps for one image size, with their buffers."""
 
     def __init__(self, height: int, width: int, halve: bool) -> None:
         rng = np.random.default_rng(0)
@@ -41,7 +41,7 @@ class Steps:
         self._total: I32 = np.zeros((rows + 1, cols + 1), np.int32)
 
     def run(self, band_rows: int) -> None:
-        """Take the picture in bands of so many rows of the camera."""
+        """Process the image in bands of `band_rows` camera rows."""
         per = 2 if self._halve else 1
         for first in range(0, self.image.shape[0], band_rows):
             taken = self.image[first : first + band_rows]
@@ -56,12 +56,12 @@ class Steps:
             cv2.bitwise_and(grey, mask, dst=masked)
             cv2.compare(masked, self._threshold[at], cv2.CMP_GT, dst=white)
             cv2.bitwise_and(white, 1, dst=white)
-            # A band's own integral image; what is above it would have to be added, which is not counted here.
+            # Each band gets its own integral image; adding the rows above it is not counted here.
             self._total[at.start + 1 : at.stop + 1] = cv2.integral(white)[1:]
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description="The pixel steps before the network, whole and in bands.")
     parser.add_argument("--rounds", type=int, default=40)
     args = parser.parse_args()

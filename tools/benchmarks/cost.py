@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""What a frame's cost grows with: contact area, image size, number of objects; the fitted slopes and a plot.
+"""How a frame's cost grows with contact area, image size and number of objects: fitted slopes and a plot.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.cost [--profile fast accurate] [--rounds 15] [--out FOLDER]
 
-The default sensor, simulated, one thread, processor time. Balls of 2 to 40 mm radius in the middle give the areas; one
-ball on the same sensor through cameras of 320x240 to 1280x960 the sizes; one to six small balls around the tip the
-numbers. All of it takes turns in rounds; a figure is the median over the rounds of a round's median. A slope is that of
-the least squares' line; its 95 % interval comes from drawing the rounds. Writes `cost.md` and `cost.png` there.
+Times are processor times of the simulated default sensor on one thread. Balls of 2 to 40 mm radius in the middle vary
+the area; one ball seen through cameras of 320x240 to 1280x960 varies the size; one to six small balls around the tip
+vary the number. All trials take turns in rounds; a figure is the median over the rounds of a round's median. A slope is
+that of the least-squares line; its 95 % interval comes from resampling the rounds. Writes `cost.md` and `cost.png`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from tacshade_edge.types import F64, U8, Frame
 
 RADII_MM, DEPTH_MM = (2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 40.0), 4.0
 SCALES = (0.5, 0.75, 1.0, 1.5, 2.0)
-"""Of 640x480."""
+"""Image sizes as factors on 640x480."""
 OBJECTS_MOST = 6
 AREA, SIZE, NUMBER, IDLE = "contact area", "image size", "objects", "image size, no contact"
 UNITS = {AREA: "cm²", SIZE: "Mpx", NUMBER: "object", IDLE: "Mpx"}
@@ -60,13 +60,13 @@ class Trial:
     t_ns: int = 0
 
     def round(self) -> None:
-        """Time some steps; the first after other work does not count."""
+        """Time some steps; the first one after other work does not count."""
         if self.count > 1:
             self.step_ms()
         self.medians_ms.append(float(np.median([self.step_ms() for _ in range(self.count)])))
 
     def step_ms(self) -> float:
-        """One step's processor time, of 60 frames a second."""
+        """Processor time in ms of one step at 60 frames a second."""
         self.t_ns += FRAME_NS
         return sum(stages_ms(self.made, Frame(0, self.t_ns, 0, self.image), work_ns).values())
 
@@ -115,7 +115,7 @@ def trials(profiles: Sequence[str]) -> Iterator[Trial]:
 
 
 def measure(timed: Sequence[Trial], rounds: int) -> None:
-    """Time all of them in turns."""
+    """Time all trials in turns."""
     rng = np.random.default_rng(0)
     with one_thread():
         for each in timed:
@@ -131,7 +131,7 @@ def measure(timed: Sequence[Trial], rounds: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """A fitted line, and what it was fitted to."""
+    """A fitted line and its data."""
 
     x: F64
     ms: F64
@@ -143,7 +143,7 @@ class Line:
 
     @classmethod
     def through(cls, some: Sequence[Trial]) -> Line:
-        """Fit the medians; draw rounds for the interval."""
+        """Fit the medians; resample the rounds for the interval."""
         x = np.array([each.x for each in some])
         ms = np.array([each.medians_ms for each in some])
         rounds = ms.shape[1]
@@ -156,7 +156,7 @@ class Line:
 
 
 def table(lines: dict[tuple[str, str], Line]) -> str:
-    """Slopes."""
+    """The slopes as a Markdown table."""
     cells = [
         [
             profile,
@@ -175,7 +175,7 @@ def table(lines: dict[tuple[str, str], Line]) -> str:
 
 
 def draw(lines: dict[tuple[str, str], Line]) -> bytes:
-    """PNG: a panel for each of the three, a colour for each profile."""
+    """A PNG with a panel for each of the three quantities and a colour for each profile."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -203,7 +203,7 @@ def draw(lines: dict[tuple[str, str], Line]) -> bytes:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write the files."""
     parser = argparse.ArgumentParser(description="What a frame's cost grows with.")
     learned = [name for name in PROFILES if name != "paper"]
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=learned)

@@ -1,4 +1,4 @@
-"""Measure the daemon: frames in, decoded height maps at a subscriber, beside a null daemon that only publishes.
+"""Measure the daemon from frames to decoded height maps at a subscriber, next to a null daemon that only publishes.
 
 ::
 
@@ -6,20 +6,20 @@
         [--json F]
 
 Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
-subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
-grey images in memory (not in the figures of memory) that were drawn before; the null daemon publishes what was made
-of the same images. In the rows
+subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of pre-drawn
+640x480 grey images in memory (not counted in the memory figures); the null daemon publishes the results of the same
+images. In the rows
 
-- ``contact`` a ball goes in and out, pressed from the first frame on, and everything is subscribed to;
+- ``contact`` a ball goes in and out, pressed from the first frame on, and the subscriber takes every topic;
 - ``free`` nothing touches;
-- ``unasked`` the ball goes in and out and nobody subscribes to anything but ``state`` and ``health``.
+- ``unasked`` the ball goes in and out, and the subscriber takes only ``state`` and ``health``.
 
-Latency is from the frame's time stamp to the end of the subscriber's decode; both read the same CLOCK_MONOTONIC.
-First map: from the start of the process to the end of the first decode. CPU: of one core, all threads, without the
-first seconds. With several runs the rows take turns, and each figure is the best of its runs.
+Latency runs from the frame's time stamp to the end of the subscriber's decode; both read the same CLOCK_MONOTONIC.
+First map: from the start of the process to the end of the first decode. CPU: share of one core over all threads,
+without the first seconds. With several runs the rows take turns, and each figure is the best of its runs.
 
-With ``--record`` it is the daemon without a recording, with 10 s that are kept before one, and with one as a folder and
-as MCAP, to the folder for temporary files, and what encoding a frame costs is told for grey and for colour.
+With ``--record`` the rows are the daemon without a recording, with a pre-roll of 10 s, and recording to the folder for
+temporary files as a folder and as MCAP; the bench also prints what encoding a grey and a colour frame costs.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from tools.testbed.daemon_rig import BASE, broker, cpu_s, draw_rings, memory_mb
 RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
 OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
 SETTLE_S = 4.0  # start, first frames
-ROWS = {  # name: program, ring, what the subscriber asks for
+ROWS = {  # name: program, ring, the subscriber's topics
     "contact": (RING_DAEMON, "contact", "#"),
     "contact, null": (NULL_DAEMON, "contact", "#"),
     "free": (RING_DAEMON, "free", "#"),
@@ -78,7 +78,7 @@ def subscriber(port: int, warm_up: int, topics: str) -> None:
     done = threading.Event()
 
     def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
-        if message.retain:  # of the run before
+        if message.retain:  # from the previous run
             return
         if message.topic == f"{BASE}/height":
             decoded = wire.decode(message.payload)
@@ -174,14 +174,14 @@ def record(config: Path, seconds: float, format_: str) -> None:
 
 
 def an_hour(folder: Path, recorded: dict[str, Any], fps: float) -> str:
-    """What a recording takes of the disk."""
+    """A line with the disk space that an hour of recording takes."""
     files = [path.stat().st_size for path in folder.iterdir()]
     hour = sum(files) / recorded["written"] * fps * 3600 / 1e9
     return f"{folder.name}: {recorded}, {len(files)} files; an hour {hour:.1f} GB"
 
 
 def encoding(folder: Path) -> str:
-    """What the recorder's encoding of a frame costs, beside OpenCV's with zlib's level 1 alone."""
+    """What the recorder's encoding of a frame costs, next to OpenCV's encoding at zlib level 1."""
     lines = []
     for what, ring in (("grey", "contact"), ("colour", "colour")):
         for name, options in (("recorder", PNG_OPTIONS), ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1))):
@@ -196,7 +196,7 @@ def encoding(folder: Path) -> str:
 
 
 def prepare(folder: Path, port: int, profile: str) -> None:
-    """Images, calibration, settings, and for the null daemon what the real one makes of the images."""
+    """Write images, calibration and settings, and for the null daemon the real daemon's results for the images."""
     draw_rings(folder)
     calibration_file.save(folder / "c.npz", make_calibration())
     for file, pre_roll_s in (("config", 0), ("pre_roll", 10)):
@@ -218,14 +218,14 @@ def prepare(folder: Path, port: int, profile: str) -> None:
 
 
 def best(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """The last run's counts with the least of every other figure."""
+    """The last run's counts with the minimum of every other figure."""
     figures = [name for name in runs[0] if name.endswith(("_ms", "_s", "_mb")) or name == "cpu"]
     least = {name: min(run[name] for run in runs) for name in figures}
     return {**runs[-1], **least, "accounted": all(run["accounted"] for run in runs)}
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
-    """For a person: Markdown."""
+    """The results as a Markdown table."""
     head = [
         "",
         "p50 ms",
@@ -254,7 +254,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 
 def beside_null(results: dict[str, dict[str, Any]]) -> str:
-    """What the daemon takes beyond the null daemon of the same rows."""
+    """What the daemon takes beyond the null daemon in the same rows."""
     contact, null, free = results["contact"], results["contact, null"], results["free"]
     p50, p99 = (contact[key] - null[key] for key in ("p50_ms", "p99_ms"))
     later_s = contact["first_map_s"] - null["first_map_s"]
@@ -266,7 +266,7 @@ def beside_null(results: dict[str, dict[str, Any]]) -> str:
 
 
 def main() -> int:
-    """Run the daemons one after the other; exit 1 when a frame is not accounted for."""
+    """Run the daemons one after the other; return 1 if a frame is not accounted for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
@@ -274,7 +274,7 @@ def main() -> int:
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
-    for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber
+    for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.role is not None:

@@ -1,4 +1,4 @@
-"""Measure the dashboard: height maps published, carried and drawn by a headless browser.
+"""Measure the dashboard: height maps published, delivered and drawn by a headless browser.
 
 ::
 
@@ -6,9 +6,9 @@
 
 Five processes: mosquitto, a publisher of synthetic maps with their clouds, the dashboard, Chromium with its driver, and
 this one. With ``--step 1`` a map is 640x480 cells (614 KB), with 4 it is 160x120 (38 KB; the daemon sends 112x112).
-Drawn are maps with a sequence number of their own that were put onto the canvas, counted by the page; the age is from
-the map's time stamp until it was drawn, by one clock. Superseded are maps that a newer one replaced in the page; what
-was heard and is neither is unaccounted. There is no graphics card here: Chromium draws in software, on the same cores.
+The page counts the distinct maps that it drew on the canvas; the age runs from a map's time stamp until it was drawn,
+by one clock. A map is superseded if a newer one replaced it in the page; a received map that is neither is
+unaccounted. Chromium runs without a graphics card: it draws in software on the same cores.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ RING = 16
 
 
 def publish(port: int, fps: float, step_px: int, stop: Event) -> None:
-    """A press that goes in and out, at a steady pace; skips what is late."""
+    """Publish a press that goes in and out at a steady rate; skip late frames."""
     ring = [bump(0, 0.2 + 2.5 * k / RING, 236.0, 270.0 + 8 * k, step_px) for k in range(RING)]
     with PublishedSensor(port) as sensor:
         began, seq = time.monotonic(), 0
@@ -52,13 +52,13 @@ def publish(port: int, fps: float, step_px: int, stop: Event) -> None:
 
 
 def cpu_s(pid: int) -> float:
-    """User and system time of a process so far."""
+    """User and system time of a process so far, in s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def child_of(parent: int, word: str) -> int:
-    """Id of the child process whose command has this word."""
+    """Id of the child process with this word in its command."""
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             command, stat = (entry / "cmdline").read_bytes().decode(), (entry / "stat").read_text()
@@ -70,7 +70,7 @@ def child_of(parent: int, word: str) -> int:
 
 
 def deflated(step_px: int) -> dict[str, float]:
-    """What permessage-deflate, as the websockets package sets it up, would make of a map and take for it."""
+    """Size and time of a map under permessage-deflate as the websockets package sets it up."""
     rng = np.random.default_rng(1)
     result = bump(1, 2.5, 236.0, 300.0, step_px)
     noisy = result.height.height_mm + rng.normal(0, 0.004, result.height.height_mm.shape).astype(np.float32)
@@ -87,7 +87,7 @@ def deflated(step_px: int) -> dict[str, float]:
 
 
 def measure(fps: float, step_px: int, seconds: float) -> dict[str, Any]:
-    """Everything, in a folder that is gone afterwards."""
+    """Run every process in a temporary folder and return the figures."""
     stop = multiprocessing.Event()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -127,7 +127,7 @@ def measure(fps: float, step_px: int, seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Parse, measure, print."""
+    """Parse the options, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fps", type=float, default=30.0)
     parser.add_argument("--step", type=int, default=1, choices=(1, 2, 4), help="pixels per cell")

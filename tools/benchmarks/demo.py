@@ -1,8 +1,8 @@
-"""How long a newcomer waits: a fresh clone, `make demo`, until the first height map and the first that moves.
+"""How long a newcomer waits after `make demo` in a fresh clone for the first height map and the first that moves.
 
     python -m tools.benchmarks.demo [--cold]
 
-Twice in the same clone: with the installs, and without. --cold: with an empty pip cache, as on a fresh machine.
+It runs twice in the same clone: with the installs, and without. --cold: with an empty pip cache, as on a fresh machine.
 Prints seconds from the start of `make demo`, and how long Ctrl-C takes.
 """
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def once(clone: Path, environment: dict[str, str]) -> tuple[float, float, float, float]:
-    """Seconds to the address, to the first height map, to the first other one; seconds that Ctrl-C takes."""
+    """Seconds to the address, to the first height map and to the first different one; seconds that Ctrl-C takes."""
     begin = time.monotonic()
     process = subprocess.Popen(
         ["make", "demo"], cwd=clone, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True

@@ -1,12 +1,12 @@
-"""The first hour of a new user, by the documents alone: from a fresh clone to a calibrated simulated sensor.
+"""The first hour of a new user who follows the documents: from a fresh clone to a calibrated simulated sensor.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.first_hour
 
 It takes the commands from README.md ("Get it") and calibration.md ("Practise without a sensor"), runs them in a
-temporary folder with this clone in the place of the repository's address, answers `capture` as the page says, presses
-eight times, and prints how long each step took. A command that fails ends it.
+temporary folder with this clone in place of the repository's address, answers `capture` as the page says, presses
+eight times, and prints how long each step took. It stops at the first command that fails.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def blocks(page: str, heading: str) -> list[str]:
 
 
 def shell(text: str, folder: Path) -> None:
-    """Run commands as they are typed, in one shell; CalledProcessError where one fails."""
+    """Run commands as typed, in one shell. Raises CalledProcessError if one fails."""
     subprocess.run(["bash", "-ec", text], cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
 def practise(begin: str, press: str, python: Path, folder: Path) -> str:
-    """`capture` with a file as the hand; the command that it ends with."""
+    """Run `capture` with a file in place of the hand; return the command that it prints last."""
     *files, capture = begin.strip().splitlines()
     shell("\n".join(files), folder)
     answers = re.search(r"`(\S+)`, `(\S+)`, `(\S+)`, `(\S+)`", (ROOT / "docs/how-to/calibration.md").read_text())
@@ -88,6 +88,7 @@ def main() -> None:
         shell(following, empty)
         say("calibrated")
         shell(at_once, empty)
+        shell(following.replace("mysensor", "practice"), empty)
         say("forty presses at once, and calibrated")
 
 

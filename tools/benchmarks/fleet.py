@@ -5,10 +5,10 @@
     .venv/bin/python -m tools.benchmarks.fleet [--boards 20] [--real 2] [--seconds 30] [--fps 60]
 
 Each board has a mosquitto with ``config/fleet/board.conf``, whose bridges send over TLS to one with ``central.conf``.
-The first boards run a daemon each, on painted frames in contact half of the time; the others publish what the first
-one publishes, as it does, under their own names: twenty daemons do not fit on a small machine, their messages do.
-Every board also publishes a numbered event a second. Then the central broker stalls, and is stopped and started
-again. ``bridge prometheus`` reads the central broker all the time.
+The first boards run a daemon each, on painted frames in contact half of the time; the others repeat the first board's
+messages under their own names: twenty daemons do not fit on a small machine, but their messages do. Every board also
+publishes a numbered event a second. Then the central broker stalls, and is stopped and restarted. ``bridge prometheus``
+reads the central broker all the time.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ UP = ("state", "instance", "info", "status/#", "event/#", "map/revision", "map/f
 
 
 class Heard:
-    """What the central broker delivers."""
+    """Counts of the messages that the central broker delivers."""
 
     def __init__(self) -> None:
         self.messages: Counter[str] = Counter()
@@ -61,7 +61,7 @@ class Heard:
 
 
 class Streams:
-    """Numbered events of every board, and the first board's messages from those without a daemon."""
+    """Publishes every board's numbered events, and the first board's messages for the boards without a daemon."""
 
     def __init__(self, brokers: dict[str, ConfiguredBroker], real: int, stack: ExitStack) -> None:
         first = next(iter(brokers))
@@ -91,7 +91,7 @@ class Streams:
 
 
 def daemon(folder: Path, name: str, port: int, fps: float, stack: ExitStack) -> int:
-    """Start one on painted frames; its process id."""
+    """Start a daemon on painted frames; return its process id."""
     settings = folder / f"{name}.yaml"
     settings.write_text(
         f"sensor_id: {name}\nprofile: fast\ncalibration: c.npz\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
@@ -106,7 +106,7 @@ def daemon(folder: Path, name: str, port: int, fps: float, stack: ExitStack) -> 
 
 
 def rates(pids: dict[str, list[int]], heard: Heard, seconds: float, boards: int) -> None:
-    """Print messages, bytes and processor time of some seconds."""
+    """Print messages, bytes and processor time over some seconds."""
     begin, start_s = {kind: sum(map(cpu_s, some)) for kind, some in pids.items()}, time.monotonic()
     heard.messages.clear()
     heard.bytes.clear()
@@ -128,7 +128,7 @@ def rates(pids: dict[str, list[int]], heard: Heard, seconds: float, boards: int)
 
 
 def main() -> int:
-    """Measure, then cut the links; 1 if an event was lost or a sensor is not up."""
+    """Measure, then cut the links; return 1 if an event was lost or a sensor is not up."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--boards", type=int, default=20)
     parser.add_argument("--real", type=int, default=2, help="boards with a daemon of their own")

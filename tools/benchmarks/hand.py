@@ -1,21 +1,21 @@
-"""Measure a hand: several sensors in one command, beside as many null daemons that only publish.
+"""Measure a hand: several sensors in one command, next to as many null daemons that only publish.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20] [--profile NAME] [--json FILE]
 
-As ``tools.benchmarks.daemon``, whose ring of images, null daemon and broker these are: two of the sensors are pressed,
-nothing touches the others, and one subscriber asks for ``TOPICS`` of all. In the rows
+It uses the ring of images, the null daemon and the broker of ``tools.benchmarks.daemon``: two of the sensors are
+pressed, nothing touches the others, and one subscriber takes ``TOPICS`` of all. In the rows
 
-- ``hand`` is ``run`` with one file of so many sensors: a process for each, forked from one;
-- ``objects`` is the same with a ``hand_id``: one process more, whose topic is subscribed too;
-- ``apart`` is as many commands ``run``, each with its own file, as under a template unit;
+- ``hand`` is ``run`` with one file for all sensors: a process for each, forked from one;
+- ``objects`` is the same with a ``hand_id``: one more process, and the subscriber takes its topic too;
+- ``apart`` is one command ``run`` for each sensor, with its own file, as under a template unit;
 - ``null`` is as many null daemons.
 
-Memory is the proportional set size (PSS) of all processes of a row, without the images in a camera's place: a page that
-five share is counted once. CPU is of one core, the sum of all processes, without the first seconds. Of the hand's topic
-the bench reports how many messages came a second, and of the newest frame in each how old it was when the message was
-decoded, and how much later that was than the decode of the finger's own height map of the same frame.
+Memory is the proportional set size (PSS) of all processes of a row, without the images that replace the camera: a page
+that five share is counted once. CPU is the sum over all processes as a share of one core, without the first seconds.
+For the hand's topic the bench reports the messages per second, the age of each message's newest frame when the message
+was decoded, and how much later that was than the decode of the finger's own height map of the same frame.
 """
 
 from __future__ import annotations
@@ -91,19 +91,19 @@ def subscriber(port: int, names: list[str]) -> None:
 def ages(
     messages: list[tuple[int, HandObjects]], own_ns: dict[tuple[str, int | None], int]
 ) -> tuple[list[float], list[float]]:
-    """How old the newest frame of each of the hand's messages was, where no message before had it.
+    """Age of the newest frame in each of the hand's messages, unless an earlier message already had it.
 
     Parameters
     ----------
     messages : list of (int, HandObjects)
-        With the times of their decode, CLOCK_MONOTONIC ns.
+        Decode time (CLOCK_MONOTONIC ns) and message.
     own_ns : dict of (str, int) to int
-        By finger and frame, when the finger's own height map was decoded.
+        Decode time of the finger's own height map by finger and frame.
 
     Returns
     -------
     ages_ms, later_ms : list of float
-        Since the frame's time stamp, and since the decode of the finger's own message, where there is one.
+        Time since the frame's time stamp, and since the decode of the finger's own message, if there is one.
     """
     ages_ms, later_ms, latest_ns = list[float](), list[float](), 0
     for at_ns, hand in messages:
@@ -118,13 +118,13 @@ def ages(
 
 
 def family(pid: int) -> list[int]:
-    """A process and its children."""
+    """Ids of a process and its children."""
     found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
     return [pid, *map(int, found.split())]
 
 
 def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace) -> dict[str, Any]:
-    """One row: its daemons for so many seconds."""
+    """Run one row's daemons for the given seconds and return the figures."""
     words = [sys.executable, "-m", "tools.benchmarks.hand", "--role", ",".join(names), "--port", str(port)]
     listen = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert listen.stdout is not None
@@ -179,14 +179,14 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
 
 
 def main() -> int:
-    """Run the rows one after the other; exit 1 when a frame is not accounted for."""
+    """Run the rows one after the other; return 1 if a frame is not accounted for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sensors", type=int, default=5)
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row, start included")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
-    for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber
+    for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.role is not None:

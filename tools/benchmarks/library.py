@@ -27,7 +27,7 @@ STEPS = ("import tacshade_edge", "ts.load", "first reconstruct", "second reconst
 
 
 def main() -> None:
-    """Print the median of each step, and their sum up to the first result."""
+    """Print the median of each step and their sum up to the first result."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("calibration")
     parser.add_argument("image")

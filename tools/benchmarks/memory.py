@@ -1,16 +1,16 @@
-"""Measure the daemon's memory: the command `run` as a service runs it, a broker, and images in a camera's place.
+"""Measure the daemon's memory: the command `run` as a service runs it, a broker, and images in place of a camera.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.memory [--frames 600] [--fps 30] [--profile balanced] [--source files]
         [--json FILE]
 
-The daemon reads 640x480 images of a ball that goes in and out (drawn before, by this process), or draws
-them itself (``--source simulated``). Its memory is read from /proc after a tenth of the frames, a half, and all:
+The daemon reads 640x480 images of a ball that goes in and out (drawn beforehand by this process), or draws them itself
+(``--source simulated``). This process reads its memory from /proc after a tenth, half and all of the frames:
 
-- resident: all its pages in memory (VmRSS); peak: the most it ever was (VmHWM);
-- own: pages that only it can have (RssAnon): what the kernel cannot drop;
-- files: pages of program and libraries, which the kernel can drop and read again.
+- resident: all its pages in memory (VmRSS); peak: the maximum so far (VmHWM);
+- own: anonymous pages (RssAnon), which the kernel cannot drop;
+- files: pages of the program and its libraries, which the kernel can drop and read again.
 
 The largest owners of resident pages follow, from /proc/PID/smaps.
 """
@@ -42,11 +42,11 @@ from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.daemon_rig import BASE, FIELDS, broker, draw_rings, memory_mb
 
 TOP = 8
-SLOWEST_FPS = 1.0  # a daemon that captures fewer is given up
+SLOWEST_FPS = 1.0  # the bench gives up on a slower daemon
 
 
 def owners_mb(pid: int) -> dict[str, float]:
-    """Resident MiB by mapped file; ``[anon]`` is what has none: buffers, stacks of threads, Python's objects."""
+    """Resident MiB by mapped file; ``[anon]`` has no file: buffers, thread stacks, Python's objects."""
     pages: Counter[str] = Counter()
     owner = ""
     for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
@@ -59,7 +59,7 @@ def owners_mb(pid: int) -> dict[str, float]:
 
 
 def write_images(folder: Path) -> None:
-    """Grey PNGs of the ring."""
+    """Write the ring as grey PNGs."""
     (folder / "images").mkdir()
     draw_rings(folder)
     for number, image in enumerate(np.load(folder / "contact.npy")):
@@ -67,7 +67,7 @@ def write_images(folder: Path) -> None:
 
 
 class Captured:
-    """How many frames the daemon says that it captured."""
+    """The number of captured frames that the daemon reports."""
 
     def __init__(self, port: int) -> None:
         self.frames: dict[str, int] = {}
@@ -84,7 +84,7 @@ class Captured:
             self._news.set()
 
     def wait(self, count: int, daemon: subprocess.Popen[bytes]) -> None:
-        """Until so many frames were captured. Raises SystemExit when the daemon ends or is too slow."""
+        """Wait until the daemon has captured `count` frames. Raises SystemExit if it ends or is too slow."""
         deadline = time.monotonic() + 30 + count / SLOWEST_FPS
         while self.frames.get("captured", 0) < count:
             self._news.clear()
@@ -93,13 +93,13 @@ class Captured:
                 raise SystemExit(f"memory: {self.frames} after {count / SLOWEST_FPS + 30:.0f} s")
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the broker."""
         self._client.disconnect()
         self._client.loop_stop()
 
 
 def measure(folder: Path, config: Path, port: int, frames: int) -> dict[str, Any]:
-    """One run of the daemon."""
+    """Run the daemon once and return its figures."""
     seen = Captured(port)
     command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
     with (folder / "log").open("w") as log:
@@ -123,7 +123,7 @@ def measure(folder: Path, config: Path, port: int, frames: int) -> dict[str, Any
 
 
 def main() -> int:
-    """Measure and print; exit 1 when the daemon did not end well."""
+    """Measure and print; return 1 if the daemon did not exit cleanly."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--fps", type=float, default=30.0)

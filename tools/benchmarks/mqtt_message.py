@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""What a message to the broker costs at 60 frames a second: by the daemon's link, by paho alone, by a bare socket.
+"""What a message to the broker costs at 60 frames a second through the daemon's link, paho alone, and a bare socket.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.mqtt_message [--rounds 3] [--seconds 5]
 
-Each way publishes what a frame in contact has (height, cloud, shear, sigma and contact), QoS 0, to a mosquitto on a
-loopback port that has a subscriber, and sleeps until the next frame. CPU is that of this process, all threads;
-`publishing` is how long the publishing thread is kept. The bare socket writes packets that were made before in one
-call: no client takes less. Rounds take turns; each figure is the median over rounds.
+Each way publishes the messages of a frame in contact (height, cloud, shear, sigma and contact) at QoS 0 to a mosquitto
+with a subscriber on a loopback port, and sleeps until the next frame. CPU counts all threads of this process;
+`publishing` is how long the publishing thread is busy. The bare socket writes ready packets in one call: no client
+takes less. Rounds take turns; each figure is the median over rounds.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from tools.testbed.daemon_rig import BASE, broker
 
 FPS = 60
 PAYLOAD_BYTES = {"height": 5400, "cloud": 9900, "shear": 10700, "sigma": 5400, "contact": 600}
-"""Of `balanced`, 640x480, a ball over a fifth of the disc."""
+"""Sizes with profile `balanced` at 640x480 and a ball over a fifth of the disc."""
 
 Publish = Callable[[int], None]
 
 
 def by_link(port: int, stack: ExitStack) -> Publish:
-    """The daemon's link."""
+    """Publish through the daemon's link."""
     link = MqttLink(
         host="127.0.0.1",
         port=port,
@@ -63,7 +63,7 @@ def by_link(port: int, stack: ExitStack) -> Publish:
 
 
 def by_paho(port: int, stack: ExitStack) -> Publish:
-    """Paho and nothing of ours but how it is set up."""
+    """Publish through paho alone, set up as the link sets it up."""
     address = BrokerAddress(host="127.0.0.1", port=port, username=None, password=None, tls_ca=None)
     client = make_client(address, base_topic=BASE, client_id="bench-paho")
     connect(client, "127.0.0.1", port)
@@ -80,7 +80,7 @@ def by_paho(port: int, stack: ExitStack) -> Publish:
 
 
 def by_socket(port: int, stack: ExitStack) -> Publish:
-    """Packets of MQTT 5 that were made before, written at once."""
+    """Write ready MQTT 5 packets in one call."""
     sock = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
     sock.sendall(packet(0x10, b"\x00\x04MQTT\x05\x02\x00\x00\x00" + string("bench-socket")))
     sock.recv(1024)
@@ -96,17 +96,17 @@ def by_socket(port: int, stack: ExitStack) -> Publish:
 
 
 def properties_of(topic: str):  # type: ignore[no-untyped-def]
-    """As the link sends them."""
+    """The properties that the link sends with a topic."""
     return publish_properties(CONTENT_TYPES.get(topic, "application/json"), expiry_s=5)
 
 
 def string(text: str) -> bytes:
-    """MQTT 5, section 1.5.4."""
+    """A UTF-8 encoded string (MQTT 5, section 1.5.4)."""
     return len(text).to_bytes(2, "big") + text.encode()
 
 
 def packet(kind: int, body: bytes) -> bytes:
-    """Fixed header (section 2.1.1) and body."""
+    """A packet: fixed header (section 2.1.1) and body."""
     length, size = bytearray(), len(body)
     while True:
         size, seven = divmod(size, 128)
@@ -116,13 +116,13 @@ def packet(kind: int, body: bytes) -> bytes:
 
 
 def wait_for(true: Callable[[], bool]) -> None:
-    """Until it is."""
+    """Wait until the condition holds."""
     while not true():
         threading.Event().wait(0.02)
 
 
 def take(port: int) -> None:
-    """Subscribe to everything, for ever."""
+    """Subscribe to every topic until killed."""
     client = Client(CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", port)
     client.subscribe(f"{BASE}/#")
@@ -130,7 +130,7 @@ def take(port: int) -> None:
 
 
 def measured(publish: Publish, seconds: float) -> tuple[float, float]:
-    """CPU of this process and the publishing thread's wall time, ms a frame."""
+    """CPU time of this process and wall time of the publishing thread, in ms per frame."""
     count = round(seconds * FPS)
     kept_ns = 0
     used_s, next_s = time.process_time(), time.monotonic()
@@ -144,7 +144,7 @@ def measured(publish: Publish, seconds: float) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description="What a message to the broker costs.")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=5.0, help="of each way in each round")

@@ -1,7 +1,7 @@
-"""A daemon that publishes ready bytes and reconstructs nothing: what it takes is Python and transport.
+"""A daemon that publishes ready bytes and reconstructs nothing: it costs only Python and transport.
 
-A process of ``tools.benchmarks.daemon``: the same link, ledger and pace as the real one, and the bytes that one made of
-the same images, under each frame's own number and times.
+``tools.benchmarks.daemon`` starts it: it has the link, ledger and frame rate of the real daemon, and publishes what the
+real one made from the same images, with each frame's own number and times.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CONTACT_PERIOD_NS = 100_000_000
 
 
 def stamped(message: bytes, seq: int, t_ns: int) -> bytes:
-    """A height or cloud as of another frame."""
+    """A height or cloud message with another frame's number and time."""
     changed = bytearray(message)
     struct.pack_into("<I", changed, 8, seq)
     struct.pack_into("<QQ", changed, 16, t_ns, time.time_ns())

@@ -1,11 +1,11 @@
-"""Measure what the motion of a held object costs a hand's process: messages of five fingers, with shear and without.
+"""Measure what tracking a held object costs a hand's process: messages of five fingers, with shear and without.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.object_motion [--fingers 5] [--fps 60] [--seconds 20]
 
-Fingers around a cylinder report every frame, at the same time and one after the other, to the part of the hand's
-process that puts its message together. CPU of one core, with the encoding, without the fingers' lines and the broker.
+Fingers around a cylinder report every frame, simultaneously or one after the other, to the part of the hand's process
+that assembles its message. CPU is a share of one core and includes encoding, but not the fingers' lines or the broker.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BEGIN_NS = 10**12
 
 
 def finger(k: int, of: int, t_ns: int, shear: bool) -> Finger:
-    """Finger `k` on a cylinder along z that goes to and fro along it, in a second."""
+    """Finger `k` on a cylinder along z that moves to and fro along z once a second."""
     c, s = math.cos(2 * math.pi * k / of), math.sin(2 * math.pi * k / of)
     inward = (-c, -s, 0.0)
     held = HandObject(
@@ -42,7 +42,7 @@ def finger(k: int, of: int, t_ns: int, shear: bool) -> Finger:
 
 
 def measure(count: int, fps: int, seconds: float, apart: bool, shear: bool) -> tuple[float, float, int]:
-    """Percent of a core, messages a second, bytes of the last."""
+    """Percent of a core, messages per second, and bytes of the last message."""
     hand = HandAggregator([f"{k}" for k in range(count)])
     hand.listen(True, BEGIN_NS)
     period_ns = 1_000_000_000 // fps
@@ -61,7 +61,7 @@ def measure(count: int, fps: int, seconds: float, apart: bool, shear: bool) -> t
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Print a row for each way."""
+    """Print a row for each case."""
     parser = argparse.ArgumentParser(description="What the motion of a held object costs.")
     parser.add_argument("--fingers", type=int, default=5)
     parser.add_argument("--fps", type=int, default=60)

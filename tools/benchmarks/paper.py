@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
-"""How long the paper's method takes as printed, beside profile `paper`, which finds the same in less, and the others.
+"""How long the paper's method takes as printed, compared with profile `paper` (same result, less time) and the others.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.paper [--rounds 5] [--frames 200] [--objects cube ball]
 
-`plain` is `plain_paper.py`: a reader's transcription of the paper's denoising and depth. All before (check, threshold,
-eq. 1, gate) and after (cloud) is the profile's own. The frame is that of `benchmarks.stages`, in memory, one thread,
-nothing else running; methods take turns in rounds, `plain` and `paper` with a fortieth of the frames. A figure is the
-median over the rounds of a round's median (p50) or 99th percentile (p99).
+`plain` is `plain_paper.py`: a reader's transcription of the paper's denoising and depth. The stages before (check,
+threshold, eq. 1, gate) and after (cloud) are the profile's own. The frame is that of `benchmarks.stages`, in memory, on
+one thread of an idle machine; methods take turns in rounds, `plain` and `paper` with a fortieth of the frames. A figure
+is the median over the rounds of a round's median (p50) or 99th percentile (p99).
 
 ME and SD are means over the paper's five objects near the tip of the default sensor, at three depths. `plain` must
-find the heights of `paper`: if one is further off than `SAME` of the greatest, the exit code is 1.
+find the heights of `paper`: if one differs by more than `SAME` times the greatest height, the exit code is 1.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from tools.benchmarks.stages import PRESS, next_frame, timed_ms
 
 PLAIN, PAPER, BASE = "plain", "paper", "balanced"
 SAME = 1e-3
-"""Equal to the bit where it was written; another machine may round powers otherwise, and eq. 11 makes it much."""
+"""Relative tolerance: another machine may round powers differently, and eq. 11 amplifies the difference."""
 
 
 def plain(calibration: Calibration) -> Reconstructor:
-    """Profile `paper` with the transcription's denoising and solver."""
+    """A reconstructor of profile `paper` with the transcription's denoising and solver."""
     method = partial(HybridSfs, denoise=plain_paper.denoise, depth=plain_paper.solve)
     return Reconstructor(calibration, replace(PROFILES[PAPER], name=PLAIN), make_solver=method)
 
@@ -64,7 +64,7 @@ def timed(methods: dict[str, Reconstructor], image: U8, rounds: int, frames: int
 def scored(
     methods: dict[str, Reconstructor], sensor: PressedSensor, name: SensorName, objects: Sequence[str]
 ) -> tuple[list[Row], float]:
-    """Every method's presses; and how far `plain` is from `paper` at most, as a part of the greatest height."""
+    """Every method's presses, and the greatest difference of `plain` and `paper` relative to the greatest height."""
     rows: list[Row] = []
     worst = 0.0
     for object_name in objects:
@@ -79,7 +79,7 @@ def scored(
 
 
 def main() -> int:
-    """Measure, print; 1 where `plain` is not `paper`."""
+    """Measure and print; return 1 if `plain` and `paper` differ."""
     parser = argparse.ArgumentParser(description="How long the paper's method takes as printed, beside the profiles.")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--frames", type=int, default=200, help="in each round")

@@ -1,7 +1,7 @@
-"""The paper's depth as its reader would write it with NumPy, SciPy and scikit-image: what `paper` is measured by.
+"""The paper's depth as a reader would write it with NumPy, SciPy and scikit-image: the yardstick for `paper`.
 
-Eq. by eq., a new array for each result. What the paper leaves open is as in profile `paper`: |N·L| is read as |N||L|,
-the light is the camera's, start and divisor are those of the code of ref. [20].
+It goes equation by equation, with a new array for each result. It settles what the paper leaves open as profile `paper`
+does: |N·L| is read as |N||L|, the light is at the camera, start and divisor are those of the code of ref. [20].
 """
 
 from __future__ import annotations
@@ -57,5 +57,5 @@ def reflectance(p: C128, q: C128) -> C128:
 
 
 def backward(z: C128 | F64, axis: int) -> C128 | F64:
-    """Differences to the pixel before, 0 at the first."""
+    """Backward differences along an axis, 0 at the first pixel."""
     return np.diff(z, axis=axis, prepend=np.take(z, [0], axis=axis))

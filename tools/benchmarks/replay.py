@@ -4,8 +4,8 @@
 
     .venv/bin/python -m tools.benchmarks.replay [--frames 1000] [--fps 30] [--profile fast]
 
-The recording is of the simulated sensor at 640x480 in grey, as a camera's is, each frame with noise of its own, and
-every other one with a pose. Exit code 1 when a byte differs.
+The recording shows the simulated sensor in 640x480 grey, like a camera's; each frame has its own noise, and every other
+frame a pose. The exit code is 1 if a byte differs.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, SUMMARY
 from tacshade_edge.types import Frame, Pose
 
-DRAWN = 48  # drawing costs more than replaying: these again and again, under other noise
+DRAWN = 48  # drawing costs more than replaying: these frames repeat with different noise
 NOISE_GREY = 2.0
 
 
 def write_recording(folder: Path, frames: int, fps: float) -> None:
-    """`frames` different images, with the calibration beside them."""
+    """Write `frames` different images and the calibration."""
     sensor, script = SimulatedSensor(), demonstration()
     drawn = [sensor.frame(script.at(5 * k), noise_seed=k).image[:, :, 1].astype(np.float32) for k in range(DRAWN)]
     noise = np.random.default_rng(1)
@@ -47,7 +47,7 @@ def write_recording(folder: Path, frames: int, fps: float) -> None:
 
 
 def main() -> int:
-    """Write, replay twice, compare."""
+    """Write the recording, replay it twice and compare."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--fps", type=float, default=30.0)

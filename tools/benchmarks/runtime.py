@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The shipped networks run by OpenCV's DNN module and by ONNX Runtime, also in integers, one thread, in turns.
+"""Time the shipped networks in OpenCV's DNN module and in ONNX Runtime, also quantised, on one thread, in turns.
 
 ::
 
@@ -28,7 +28,7 @@ OPENCV, FLOAT, INTEGERS = "OpenCV", "ONNX Runtime", "integers"
 
 
 def runners(name: str) -> dict[str, Callable[[], F32]]:
-    """What runs a shipped network once on the same random maps, by each of the three; the first output."""
+    """Functions that run a shipped network once on the same random maps in each runtime and return the first output."""
     cv2.setNumThreads(1)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -55,7 +55,7 @@ def runners(name: str) -> dict[str, Callable[[], F32]]:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description="OpenCV's DNN module beside ONNX Runtime.")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--runs", type=int, default=200, help="in each round")

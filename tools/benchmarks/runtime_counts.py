@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Instructions that a run of each shipped network takes on a Pi 5's processor, emulated; `runtime` has times of x86.
+"""Count the instructions of a run of each shipped network on an emulated Pi 5 processor; `runtime` has times on x86.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.runtime_counts [--runs 20]
 
-Needs what ``tools/rig/arm64.py`` needs. A count compares runtimes whose kernels are alike; it does not see the memory.
+It needs what ``tools/rig/arm64.py`` needs. Counts compare runtimes with similar kernels; they ignore memory access.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RUNTIMES = (OPENCV, FLOAT, INTEGERS)
 
 
 def main() -> None:
-    """Count, print; with --run be what is counted."""
+    """Count and print; with --run, be the counted program."""
     parser = argparse.ArgumentParser(description="Instructions of a network's run on an emulated Cortex-A76.")
     parser.add_argument("--runs", type=int, default=20, help="that are counted")
     parser.add_argument("--run", nargs=3, metavar=("NETWORK", "RUNTIME", "COUNT"), help=argparse.SUPPRESS)

@@ -5,12 +5,12 @@
     .venv/bin/python -m tools.benchmarks.serial_line [--seconds 60] [--rate 1000] [--garbage 1000000] [--line usb]
     .venv/bin/python -m tools.benchmarks.serial_line --touch 60
 
-The robot (`testbed.robot`) is a process of its own; here are the daemon's thread, link and clock, without camera and
-broker. While it runs, the pose of 10 ms ago is asked for 30 times a second, as a frame would. Then as many bytes of
-garbage go through the link, in pieces of random sizes.
+The robot (`testbed.robot`) runs in its own process; this one has the daemon's thread, link and clock, without camera
+and broker. Meanwhile it looks up the pose of 10 ms ago 30 times a second, as a frame would. Then the given number of
+bytes of garbage goes through the link in pieces of random sizes.
 
-With ``--touch`` six quantities of so many seconds of frames, 60 a second, go to a robot that reads at once: how
-long from the end of a reconstruction until the robot has read the whole line.
+With ``--touch`` six quantities of 60 frames a second go to a robot that reads at once, for the given seconds: the bench
+reports the time from the end of a reconstruction until the robot has read the whole line.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BEHIND_NS = 10_000_000
 
 
 def poses(seconds: float, rate_hz: float, line: str | None) -> None:
-    """Print what was sent and what became of it."""
+    """Print how many poses were sent and how many of them arrived."""
     link = Path(f"/dev/shm/tacshade-bench-{os.getpid()}")
     command = [sys.executable, "-m", "tools.testbed.robot", "--link", str(link), "--binary"]
     command += ["--rate", str(rate_hz), "--seconds", str(seconds), *(["--line", line] if line else [])]
@@ -75,7 +75,7 @@ def poses(seconds: float, rate_hz: float, line: str | None) -> None:
 
 
 def garbage(size: int) -> None:
-    """Print what a link made of random bytes, as lines and as frames."""
+    """Print how the link counted random bytes, as lines and as frames."""
     rng = random.Random(1)
     for binary in (False, True):
         link = SerialLink()
@@ -98,7 +98,7 @@ def garbage(size: int) -> None:
 
 
 def touches(seconds: float) -> None:
-    """Print how long touches took to a robot that listens."""
+    """Print how long touches took to reach a robot that listens."""
     master, slave = pty.openpty()
     robot = Robot(SerialPort(os.ttyname(slave), 115200), lambda _: None, dict, lambda _: None, lambda: None)
     robot.start()
@@ -133,7 +133,7 @@ def touches(seconds: float) -> None:
 
 
 def _show_touches(robot: Robot, shown_ns: dict[int, int], seconds: float, stop: threading.Event) -> None:
-    """Frames in contact, 60 a second, as the reconstruct thread shows them."""
+    """Show frames in contact, 60 a second, as the reconstruct thread does."""
     image = np.zeros((2, 2), np.uint8)
     height = HeightMap(np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_), 0, 0, 1)
     cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
@@ -149,7 +149,7 @@ def _show_touches(robot: Robot, shown_ns: dict[int, int], seconds: float, stop: 
 
 
 def main() -> None:
-    """Poses and garbage, or touches."""
+    """Measure poses and garbage, or touches."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--rate", type=float, default=1000)

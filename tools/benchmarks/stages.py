@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""What a frame costs, stage by stage, beside the least that any method does: one threshold and one box filter.
+"""What a frame costs, stage by stage, compared with the least that any method needs: one threshold and one box filter.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.stages [--rounds 5] [--frames 200] [--profile fast accurate]
 
-Grey 640x480 in memory, one thread, nothing else running. The floor is `cv2.threshold` and `cv2.boxFilter` uint8 to
-uint16 over the whole frame. Rounds of the floor, of frames without contact and of frames in contact take turns; each
-figure is the median over the rounds of a round's median (p50) or 99th percentile (p99). A stage's is of the frames that
-ran it.
+The frames are 640x480 grey images in memory; use one thread of an idle machine. The floor is `cv2.threshold` and
+`cv2.boxFilter` uint8 to uint16 over the whole frame. Rounds of the floor, of frames without contact and of frames in
+contact take turns; each figure is the median over the rounds of a round's median (p50) or 99th percentile (p99). A
+stage's figure covers the frames that ran it.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from tacshade_edge.types import U8, Frame
 BOX_PX = 39
 _clock_ns = itertools.count(0, 16_666_667)
 PRESS = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
-"""It covers a fifth of the default sensor's disc."""
+"""A press that covers a fifth of the default sensor's disc."""
 
 
 def next_frame(image: U8) -> Frame:
-    """Frames follow each other at 60 Hz."""
+    """The next frame with this image, 1/60 s after the last one."""
     return Frame(0, next(_clock_ns), 0, image)
 
 
 def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
-    """p50 and p99 of so many calls."""
+    """p50 and p99 in ms of `count` calls."""
     taken = np.empty(count)
     for k in range(count):
         start = time.perf_counter_ns()
@@ -53,14 +53,14 @@ def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
 
 
 def median_stages_ms(made: Reconstructor, images: Iterator[U8], count: int) -> dict[str, float]:
-    """Median of each stage over those of so many steps that ran it."""
+    """Median in ms of each stage over those of `count` steps that ran it."""
     taken = [stages_ms(made, next_frame(image)) for image in itertools.islice(images, count)]
     ran = {stage: [each[stage] for each in taken if stage in each] for stage in STAGES}
     return {stage: float(np.median(values)) for stage, values in ran.items() if values}
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description="What a frame costs, beside a threshold and a box filter.")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--frames", type=int, default=200, help="in each round")
@@ -72,7 +72,7 @@ def main() -> None:
     sensor, calibration = name.make(), calibrated(name, 8, 0).calibration
     pressed = sensor.frame((PRESS,), 7)
     true = pressed.truth()
-    # Frames of a free skin differ by their noise, and are most often judged as the one before.
+    # Frames of an untouched skin differ only by noise; most are judged like the previous one.
     drawn = {
         "no contact": [to_grey(sensor.frame((), seed).image) for seed in (8, 9)],
         "contact": [to_grey(pressed.image)],

@@ -1,10 +1,10 @@
-"""The cost of stitching: 1000 presses of 3000 points, one after another, then the end.
+"""The cost of stitching 1000 presses of 3000 points, one after another, and of ending the session.
 
     .venv/bin/python -m tools.benchmarks.stitch
 
 Prints (with --json as JSON) the median milliseconds of an ADD over the first and the last hundred, the seconds of the
-END, and the memory. Times are of the processor, on one thread. The presses lie on a wavy surface, 8 mm apart, on poses
-with the noise of `simulate --pad`; the points are what a contact of 8.6 mm radius gives.
+END, and the memory. Times are processor times on one thread. The presses lie 8 mm apart on a wavy surface, at poses
+with the noise of `simulate --pad`; the points are those of a contact of 8.6 mm radius.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ RADIUS_MM = 8.6
 
 
 def scan(count: int) -> list[Rigid]:
-    """A square of presses straight down, row by row."""
+    """Poses of a square of presses straight down, row by row."""
     side = math.ceil(math.sqrt(count))
     down = from_seven((0, 0, 0, 0, 1, 0, 0))
     return [shift(PITCH_MM * (k % side), PITCH_MM * (k // side), APEX_MM) @ down for k in range(count)]
 
 
 def touch(pose: Rigid, points: int, rng: np.random.Generator) -> PressPoints:
-    """What a press of the surface touches."""
+    """The points of the surface that a press touches."""
     x0, y0, _ = pose.apply(np.array((0, 0, APEX_MM)))
     rho, angle = RADIUS_MM * np.sqrt(rng.uniform(size=points)), rng.uniform(0, 2 * math.pi, points)
     x, y = x0 + rho * np.cos(angle), y0 + rho * np.sin(angle)
@@ -47,7 +47,7 @@ def touch(pose: Rigid, points: int, rng: np.random.Generator) -> PressPoints:
 
 
 def main() -> None:
-    """Run and print."""
+    """Run the presses and print the cost."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--presses", type=int, default=1000)
     parser.add_argument("--points", type=int, default=3000)
@@ -88,7 +88,7 @@ def main() -> None:
 
 
 def resident_mb() -> float:
-    """The process's memory."""
+    """The process's resident memory in MB."""
     with open("/proc/self/statm", encoding="ascii") as stream:
         return int(stream.read().split()[1]) * resource.getpagesize() / 2**20
 

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Stop the daemon at random moments while every core is busy: its exit codes, and how long it took.
+"""Stop the daemon at random moments while every core is busy; report its exit codes and how long it took.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.stops [--stops 200] [--seed 0] [--python PROGRAM]
 
-Each daemon runs on the simulated sensor with the profile ``accurate`` and a broker, beside one busy process for each
-core. It gets SIGTERM after 0 to 6 s, evenly: while it starts, while it streams, in contact and not. Before the
-interpreter has reached the program's first lines the kernel ends it (-15): these stops are counted apart, and systemd
-takes them as clean too. `--python` is the interpreter of another checkout's `.venv`, to compare. Exit 1 when another
-exit code was not 0.
+Each daemon runs on the simulated sensor with the profile ``accurate`` and a broker, next to one busy process for each
+core. It gets SIGTERM after 0 to 6 s, evenly spread: while it starts and while it streams, in contact and not. Before
+the interpreter reaches the program's first lines the kernel ends it (-15): these stops are counted separately, and
+systemd takes them as clean too. `--python` is the interpreter of another checkout's `.venv`, to compare. The exit code
+is 1 if any other exit code was not 0.
 
 With systemd and a camera, in the guest: ``TACSHADE_STOPS=20 .venv/bin/python -m pytest tests/guest/test_service.py``.
 """
@@ -41,7 +41,7 @@ HANGS_S = 60.0
 
 
 def stop(command: list[str], after_s: float) -> tuple[str, int, float, str]:
-    """Phase, exit code, seconds from SIGTERM to the end, and what it said."""
+    """Phase, exit code, seconds from SIGTERM to the end, and output."""
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
         threading.Event().wait(after_s)
         begun = catches_sigterm(daemon.pid)
@@ -57,13 +57,13 @@ def stop(command: list[str], after_s: float) -> tuple[str, int, float, str]:
 
 
 def catches_sigterm(pid: int) -> bool:
-    """Whether the process has a handler for it."""
+    """Whether the process has a handler for SIGTERM."""
     found = re.search(r"^SigCgt:\s*(\w+)$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
     return found is not None and bool(int(found[1], 16) >> (signal.SIGTERM - 1) & 1)
 
 
 def main() -> int:
-    """Stop so often, print a row for each phase."""
+    """Stop the given number of daemons and print a row for each phase."""
     parser = argparse.ArgumentParser(description="Stop the daemon at random moments under full load.")
     parser.add_argument("--stops", type=int, default=200, metavar="N")
     parser.add_argument("--seed", type=int, default=0, metavar="N")

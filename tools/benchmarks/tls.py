@@ -1,11 +1,11 @@
-"""Measure what TLS costs a height map: publish to decode through a mosquitto with the shipped drop-in.
+"""Measure what TLS costs a height map from publish to decode, through a mosquitto with the shipped drop-in.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.tls [--messages 150] [--rate 30] [--bytes 38000] [--json FILE]
 
-The publisher is the daemon's own MQTT client; the subscriber is another one in a thread of its own. The last rows take
-away what makes it fast: ``set_tcp_nodelay`` of the drop-in, TCP_NODELAY on the daemon's socket, and both.
+The publisher is the daemon's own MQTT client; the subscriber is another one in its own thread. The last rows remove
+what makes it fast: ``set_tcp_nodelay`` in the drop-in, TCP_NODELAY on the daemon's socket, and both.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tools.testbed.daemon_rig import broker
 
 DROP_IN = Path(__file__).parents[2] / "systemd/mosquitto-tacshade.conf"
 HOST, TOPIC, WARM_UP = "127.0.0.1", "tacshade/bench/height", 10
-# Name, TLS, set_tcp_nodelay, TCP_NODELAY of the client.
+# Name, TLS, set_tcp_nodelay, the client's TCP_NODELAY.
 CASES = (
     ("TCP", False, True, True),
     ("TLS", True, True, True),
@@ -40,7 +40,7 @@ CASES = (
 
 
 def settings(folder: Path, tls: bool, nodelay: bool) -> tuple[str, str]:
-    """The drop-in, and what the listener gets."""
+    """The drop-in and the listener's settings."""
     drop_in = DROP_IN.read_text()
     assert "\nset_tcp_nodelay true\n" in drop_in
     if not nodelay:
@@ -49,14 +49,14 @@ def settings(folder: Path, tls: bool, nodelay: bool) -> tuple[str, str]:
 
 
 def make_certificate(folder: Path) -> None:
-    """For the loopback address, valid for two days."""
+    """Make a certificate for the loopback address, valid for two days."""
     options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
     names = ["-addext", f"subjectAltName=IP:{HOST}", "-keyout", str(folder / "key.pem"), "-out"]
     subprocess.run(["openssl", *options.split(), *names, str(folder / "cert.pem")], check=True, capture_output=True)
 
 
 def latencies_ms(port: int, ca: Path | None, nodelay: bool, args: argparse.Namespace) -> list[float]:
-    """From before `publish` to the subscriber's callback, sorted; without the first few."""
+    """Latencies in ms from before `publish` to the subscriber's callback, sorted, without the first few."""
     found: list[float] = []
     subscribed, all_there = threading.Event(), threading.Event()
 

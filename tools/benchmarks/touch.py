@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""What a touch adds to a frame that has depth and shear, in rounds that take turns, and what learning takes.
+"""What a touch adds to the cost of a frame with depth and shear, in alternating rounds, and what learning takes.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.touch [--rounds 20] [--frames 60] [--labels 400]
     .venv/bin/python -m tools.benchmarks.touch --learning 4000
 
-The model is learnt from simulated frames of a cylinder at any depth and tilt; the frame is one of them. The second
-line learns six quantities from so many rows of as many features as `accurate` has: its seconds and memory alone.
+The model is learned from simulated frames of a cylinder at any depth and tilt; the timed frame is one of them. The
+second command learns six quantities from that many rows with the features of `accurate`: only its seconds and memory.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FEATURES = 4704
 
 
 def frames(count: int) -> Iterable[LabelledFrame]:
-    """Simulated presses of known depth and tilt."""
+    """Simulated presses with known depth and tilt."""
     sensor, random = SensorName.parse("default").make(), np.random.default_rng(3)
     for k in range(count):
         depth_mm, tilt_x_deg, tilt_y_deg = (float(v) for v in random.uniform((1.4, -15, -15), (3.0, 15, 15)))
@@ -50,7 +50,7 @@ def frames(count: int) -> Iterable[LabelledFrame]:
 
 
 def learning(rows: int) -> None:
-    """Learn from made-up features, print."""
+    """Learn from made-up features and print the cost."""
     random = np.random.default_rng(4)
     hidden = random.uniform(-1, 1, (rows, 60))
     features = (hidden @ random.normal(size=(60, FEATURES)) + random.normal(size=(rows, FEATURES))).astype(np.float32)
@@ -66,7 +66,7 @@ def learning(rows: int) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--frames", type=int, default=60)

@@ -1,4 +1,4 @@
-"""What the same frames come to on this machine; a process of ``tools/ci/run_arm.py``, here and on the other machine.
+"""The results of the same frames on this machine; ``tools/ci/run_arm.py`` runs it here and on the other machine.
 
 ::
 
@@ -32,11 +32,11 @@ from tacshade_edge.types import Frame, Need
 
 DEPTHS_MM = (0.6, 1.5, 3.0, 4.5)
 FREE, PRESSED = 0, 3
-"""Places in images.npy."""
+"""Indices in images.npy."""
 
 
 def write(folder: Path) -> None:
-    """Simulated, so here alone: the other machine would need minutes."""
+    """Write simulated images; only on this machine, as the other one would need minutes."""
     from tacshade_edge.core.image.greyscale import to_grey
     from tacshade_edge.simulator.objects import OBJECTS
     from tacshade_edge.simulator.press import Press
@@ -54,7 +54,7 @@ def write(folder: Path) -> None:
 
 
 def reconstruct(folder: Path, out: Path) -> None:
-    """Black and white, which is the end of the path of whole numbers, and the maps."""
+    """Write the binary image, where integer arithmetic ends, and the maps."""
     calibration, images = calibration_file.load(folder / "calibration.npz"), np.load(folder / "images.npy")
     found: dict[str, Any] = {}
     for name, profile in PROFILES.items():
@@ -82,7 +82,7 @@ STAGES: dict[str, Need] = {
 
 
 def step(folder: Path, profile: str, image: int, last: str, port: int, count: int) -> None:
-    """As the daemon does for those who subscribe to so much."""
+    """Process frames as the daemon does for subscribers up to stage `last`."""
     calibration = calibration_file.load(folder / "calibration.npz")
     made, tracker = make_reconstructor(calibration, PROFILES[profile]), ContactTracker()
     shown = np.load(folder / "images.npy")[image]

@@ -58,7 +58,7 @@ def serve(folder: Path) -> ThreadingHTTPServer:
 
     class Quiet(SimpleHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -66,7 +66,7 @@ def serve(folder: Path) -> ThreadingHTTPServer:
 
 
 def fill(folder: Path, ways: list[str], number: str) -> None:
-    """What would be released, as `number`: a package index and an apt repository with a key of the moment."""
+    """Make the release `number`: a package index, and an apt repository with a temporary key."""
     if "pip" in ways:
         rehearsal.rehearse(TREE, number, folder / "files")
         index.fetch_locked(folder / "files", PYTHON)
@@ -98,7 +98,7 @@ def boot(way: str, port: int, number: str, out: Path, native: bool) -> int:
 
 
 def main() -> int:
-    """Try each way in a guest of its own."""
+    """Try each way in its own guest."""
     parser = argparse.ArgumentParser(prog="first_map.py", description="From a bare guest to a published height map.")
     parser.add_argument("ways", nargs="+", choices=WAYS)
     parser.add_argument("--number", default="1.0.0", help="the version that is rehearsed (1.0.0)")

@@ -1,4 +1,4 @@
-"""A pytest plugin that lists what each test took of the processors, with the processes that it started and ended.
+"""A pytest plugin that lists each test's processor time, with the processes that it started and ended.
 
 ::
 
@@ -24,7 +24,7 @@ def _processors_s() -> float:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Fixtures count for the test that is the first to want them."""
+    """Count a fixture for the first test that uses it."""
     began_s = _processors_s()
     result = yield
     _took_s[item.nodeid] = _processors_s() - began_s
@@ -32,7 +32,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print the sum and the greatest."""
+    """Print the sum and the greatest times."""
     terminalreporter.section(f"processor time: {sum(_took_s.values()):.0f} s")
     for nodeid in sorted(_took_s, key=lambda nodeid: -_took_s[nodeid])[:MOST]:
         terminalreporter.write_line(f"{_took_s[nodeid]:7.2f} s  {nodeid}")

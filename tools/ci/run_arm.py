@@ -51,12 +51,12 @@ BOARDS = {"Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6), "Pi 5 (Cortex-A76, 2.
 
 
 def arm(python: str, *command: str) -> int:
-    """Exit status of a command there."""
+    """Run a command on the other machine; return its exit status."""
     return subprocess.run((*ARM, "--python", python, *command), cwd=TREE, check=False).returncode
 
 
 def same_frames(python: str) -> list[str]:
-    """What differs by more than is stated; the rest is printed."""
+    """Print the differences; return those beyond the stated bounds."""
     there, here = TREE / GIVEN / f"there-{python}.npz", TREE / GIVEN / "here.npz"
     if arm(python, "python3", "-m", "tools.ci.arm_frames", "reconstruct", str(GIVEN), str(GIVEN / there.name)):
         return ["the frames could not be reconstructed there"]
@@ -83,7 +83,7 @@ def same_frames(python: str) -> list[str]:
 
 
 def daemon(python: str) -> list[str]:
-    """A minute of the command `run` on this machine's broker; what is wrong with it."""
+    """Run the command `run` for a minute on this machine's broker; return the problems."""
     health: list[dict[str, dict[str, int]]] = []
     with tempfile.TemporaryDirectory() as folder, broker(Path(folder)) as port:
         config = TREE / GIVEN / "run.yaml"
@@ -122,7 +122,7 @@ def daemon(python: str) -> list[str]:
     frames = health[-1]["frames"] if health else {}
     print(f"daemon: {frames}, {seen} height maps received, exit status {code}")
     wrong = [] if code == 0 else [f"the daemon ended with {code}"]
-    # How many it manages is the emulation's; that none is lost without a word is the daemon's.
+    # The emulation limits how many frames it manages; the daemon must account for every one.
     if not seen or frames["captured"] != sum(n for outcome, n in frames.items() if outcome != "captured"):
         wrong.append("frames are not accounted for")
     if frames.get("published") != seen:
@@ -143,7 +143,7 @@ def package(python: str) -> list[str]:
 
 
 def quick(python: str) -> list[str]:
-    """The quick tests there."""
+    """Run the quick tests on the other machine; return the problems."""
     words = ("-p", "no:cacheprovider", "-n", WORKERS, "--dist", "worksteal", "-m", QUICK)
     there = (*ARM, "--python", python, "python3", "-m", "pytest", *words)
     done = subprocess.run(there, cwd=TREE, stdout=subprocess.PIPE, text=True, check=False)
@@ -176,7 +176,7 @@ def count() -> None:
 
 
 def main() -> int:
-    """Everything, and what went wrong at the end."""
+    """Run everything and print the problems at the end."""
     parser = argparse.ArgumentParser(description="What runs on a board's processor, emulated.")
     parser.add_argument("--python", nargs="+", choices=PYTHONS, default=list(PYTHONS))
     parser.add_argument("--skip-quick", action="store_true", help="without the quick tests")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Every stage of the tests, one after the other, and at the end what each ran, skipped (why) and took.
+"""Run every stage of the tests in order, and report at the end what each ran, skipped (and why) and took.
 
 ::
 
@@ -45,7 +45,7 @@ STAGES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Stage:
-    """How one went; the counts are 0 where it runs no tests."""
+    """A stage's result; the counts are 0 if it runs no tests."""
 
     name: str
     seconds: float
@@ -56,7 +56,7 @@ class Stage:
 
 
 def run(name: str) -> Stage:
-    """Run a stage, its output as it comes; of those `BESIDE` when it is over."""
+    """Run a stage and show its output as it comes, or for those in `BESIDE` at the end."""
     print(f"--- {name}", flush=True)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -77,7 +77,7 @@ def run(name: str) -> Stage:
 
 
 def main() -> int:
-    """Run the stages that are named, or all."""
+    """Run the named stages, or all."""
     began_s = time.monotonic()
     names = sys.argv[1:] or list(STAGES)
     with ThreadPoolExecutor(max_workers=1) as pool:

@@ -1,1 +1,1 @@
-"""The fault bench: what is done to the daemon and its files, and what must come of it (``python -m tools.faults``)."""
+"""The fault bench: faults of the daemon and its files, with the required outcomes (``python -m tools.faults``)."""

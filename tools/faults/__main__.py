@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The fault bench: faults in real parts, damaged inputs, requests and lines of anything, kills, and a long run.
+"""The fault bench: faults in real parts, damaged inputs, arbitrary requests and lines, kills, and a long run.
 
 ::
 
@@ -10,8 +10,8 @@
     .venv/bin/python -m tools.faults soak [--seconds 3600]
     .venv/bin/python -m tools.faults soak-hand [--seconds 7200]
 
-Each prints a table and what is a problem, and exits with 1 where something is. An input, request, line or kill is made
-of the seed and its number alone: ``--first N --count 1`` makes it again. `reliability.md` says what is promised.
+Each prints a table and its problems, and exits with 1 if there are any. The seed and its number alone determine an
+input, request, line or kill: ``--first N --count 1`` repeats it. `reliability.md` lists the promises.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tools.faults import damage, hand_soak, kills, soak, table, words
 
 CHUNK = 5000
 CALIBRATIONS = 4
-"""One kill of so many is one of `calibrate`."""
+"""Number of daemon kills for each kill of `calibrate`."""
 
 
 def faults(args: argparse.Namespace) -> tuple[str, list[str]]:
@@ -36,7 +36,7 @@ def faults(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 
 def damaged(args: argparse.Namespace) -> tuple[str, list[str]]:
-    """Damaged inputs; progress goes to stderr, so that a run that was cut can go on."""
+    """Damaged inputs; progress goes to stderr, so that an interrupted run can be continued."""
     out = damage.Outcome()
     last = args.first + args.count
     for first in range(args.first, last, CHUNK):
@@ -74,7 +74,7 @@ def soaked_hand(args: argparse.Namespace) -> tuple[str, list[str]]:
 
 
 def main() -> int:
-    """Run one of them."""
+    """Run one of the commands; return 1 if it found a problem."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -109,7 +109,7 @@ def main() -> int:
     print(text)
     if problems:
         print("\n```\n" + "\n".join(problems) + "\n```")
-        print("\n".join(problems), file=sys.stderr)  # who keeps the table only with exit code 0 sees them too
+        print("\n".join(problems), file=sys.stderr)  # so that they are seen when the table is discarded
     return 1 if problems else 0
 
 

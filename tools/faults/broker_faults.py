@@ -14,7 +14,7 @@ STALL_S = 6.0
 
 
 def killed(cell: Cell) -> Seen:
-    """Gone with SIGKILL, and back."""
+    """The broker is killed with SIGKILL and restarted."""
     cell.serve()
     cell.start()
     before = cell.frames()["failed"]
@@ -30,7 +30,7 @@ def killed(cell: Cell) -> Seen:
 
 
 def absent(cell: Cell) -> Seen:
-    """Not there at the start, for a while."""
+    """The broker is absent at the start, for a while."""
     began_s = time.monotonic()
     cell.start(streams=False)
     detected_s = cell.told("Connection refused", began_s, 30)
@@ -42,7 +42,7 @@ def absent(cell: Cell) -> Seen:
 
 
 def stalled(cell: Cell) -> Seen:
-    """It reads and answers nothing for a while, and nobody closes the connection."""
+    """The broker reads and answers nothing for a while, and nobody closes the connection."""
     cell.serve()
     cell.start()
     before = cell.frames()
@@ -63,7 +63,7 @@ def stalled(cell: Cell) -> Seen:
 
 
 def network_stalls(cell: Cell) -> Seen:
-    """The line to it carries nothing for longer than its keepalive."""
+    """The line to the broker carries nothing for longer than the keepalive."""
     cell.serve()
     proxy = cell.enter(Proxy(cell.broker.port))
     cell.start(cell.settings(port=proxy.port))
@@ -92,7 +92,7 @@ def cut(cell: Cell) -> Seen:
 
 
 def no_broker(cell: Cell) -> Seen:
-    """Something else listens on its port, and answers nonsense."""
+    """Another program listens on the broker's port and answers nonsense."""
     cell.serve()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         over = threading.Event()
@@ -115,7 +115,7 @@ def no_broker(cell: Cell) -> Seen:
 
 
 def small_packets(cell: Cell) -> Seen:
-    """It takes packets of 5000 bytes at most."""
+    """The broker accepts packets of at most 5000 bytes."""
     cell.serve(more=("max_packet_size 5000",))
     began_s = cell.mark()
     cell.start()
@@ -127,7 +127,7 @@ def small_packets(cell: Cell) -> Seen:
 
 
 def denied(cell: Cell) -> Seen:
-    """Its access rules let this user write elsewhere only."""
+    """The broker's access rules let this user write only elsewhere."""
     rules = cell.folder / "acl"
     rules.write_text("topic read #\ntopic write tacshade/other/#\n")
     cell.serve(more=(f"acl_file {rules}",))
@@ -140,7 +140,7 @@ def denied(cell: Cell) -> Seen:
 
 
 def wrong_password(cell: Cell) -> Seen:
-    """It wants another one."""
+    """The broker requires another password."""
     (cell.folder / "word").write_text("wrong\n")
     cell.broker = Broker(cell.folder, users={SENSOR_ID: "right"})
     cell.enter(cell.broker)
@@ -151,7 +151,7 @@ def wrong_password(cell: Cell) -> Seen:
 
 
 def same_id(cell: Cell) -> Seen:
-    """Another daemon comes under the same sensor_id, on the same files."""
+    """Another daemon starts with the same sensor_id on the same files."""
     cell.serve()
     cell.start()
     count = cell.session("one")
@@ -170,7 +170,7 @@ def same_id(cell: Cell) -> Seen:
 
 
 def same_id_elsewhere(cell: Cell) -> Seen:
-    """Another daemon comes under the same sensor_id, on files of its own."""
+    """Another daemon starts with the same sensor_id on its own files."""
     cell.serve()
     cell.start()
     count = cell.session("one")

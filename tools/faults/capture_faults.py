@@ -1,4 +1,4 @@
-"""`capture` is killed at each of its steps, by hand and with a printer; the next one goes on in its folder."""
+"""`capture` is killed at each of its steps, by hand and with a printer; the next one continues in its folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tools.testbed.person import Person, goes_to_the_skin, person
 
 REFERENCES, ASKED = "Enter takes 10 references.", "press 1"
 DEEPEST_MM = 5.0
-"""Below the tip; the press asks for half of it."""
+"""Greatest depth below the tip; the press requests half of it."""
 AFTER_S = (0.0, 0.2, 0.4, 0.8, 1.6)
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [40, 200]\nstart_mm: [100, 100, 78]\nfeed_mm_s: 50\n"
@@ -40,7 +40,7 @@ def _kill(one: Person) -> None:
 
 
 def _whole(out: Path) -> tuple[int, int]:
-    """References and presses; each row has its image, and every file is read as `calibrate` reads it."""
+    """Counts of references and presses; checks that each row has its image and that `calibrate` can read every file."""
     folder = CaptureFolder(out)
     if folder.sensor.exists():
         read_sensor(folder.sensor)
@@ -49,7 +49,7 @@ def _whole(out: Path) -> tuple[int, int]:
 
 
 def killed_by_hand(cell: Cell) -> Seen:
-    """In each dialogue, and a little after each answer."""
+    """Kill `capture` in each dialogue, and shortly after each answer."""
     _press(cell.folder)
     words = _words(cell.folder, ",ball,6,2.5,1,-3\n" * 40)
     out, kills, slowest_s = cell.folder / "out", 0, 0.0
@@ -103,7 +103,7 @@ def killed_by_hand(cell: Cell) -> Seen:
 
 
 def _with_a_printer(cell: Cell) -> list[str]:
-    """The words but the port."""
+    """The command's words except the port."""
     out = cell.folder / "out"
     out.mkdir(exist_ok=True)
     (out / "SENSOR.yaml").write_text(SENSOR)
@@ -112,7 +112,7 @@ def _with_a_printer(cell: Cell) -> list[str]:
 
 
 def killed_with_a_printer(cell: Cell) -> Seen:
-    """While its head moves: the next `capture` homes the printer again and takes the press."""
+    """Kill `capture` while the head moves: the next one homes the printer again and takes the press."""
     words, out = _with_a_printer(cell), cell.folder / "out"
     with FakePrinter(cell.folder / "hand.csv") as printer:
         with person(*words, printer.port) as one:
@@ -159,7 +159,7 @@ def printer_fails(fault: str, said: str) -> Callable[[Cell], Seen]:
 
 
 def printer_hears_badly(cell: Cell) -> Seen:
-    """One of its lines arrives damaged: it is sent again, and the head goes on."""
+    """A line arrives damaged at the printer: `capture` sends it again, and the head continues."""
     words = _with_a_printer(cell)
     with FakePrinter(cell.folder / "hand.csv") as printer, person(*words, printer.port) as one:
         goes_to_the_skin(one)
@@ -177,7 +177,7 @@ def _answer_until_pressed(one: Person) -> None:
 
 
 def _deepest(printer: FakePrinter) -> float:
-    """Of the head over the sensor, not where it was homed."""
+    """The head's lowest height over the sensor, not where it was homed."""
     return min(move[2] for move in printer.moves if move[0] > 50)
 
 

@@ -1,4 +1,4 @@
-"""Damaged inputs, fed in process: a number makes the same one again.
+"""Damaged inputs, fed in process: each number always gives the same input.
 
 What must hold for each: one of the program's three exceptions with one line, or a value; no more than `MEMORY_MAX_MB`
 for the whole process and `WAIT_MAX_S`; and, of a kind with a checksum, never another value without a warning.
@@ -34,7 +34,7 @@ WAIT_MAX_S = 5.0
 LINE_CHARS_MAX = 2000
 _HANGS_S = 60.0
 _ADDRESS_SPACE = 4 << 30
-"""So that what takes all memory ends itself and not the machine."""
+"""Limit in bytes, so that an input that exhausts memory ends its process and not the machine."""
 _JUNK: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63), 2**64, 10**30),
     *(0.0, -0.0, 1e-300, 1e300, -1e300, math.nan, math.inf, -math.inf, 0.5, 45.0, 1e6),
@@ -49,7 +49,7 @@ _WORDS = (
 
 @dataclass(slots=True)
 class Outcome:
-    """Of all numbers so far."""
+    """The outcome of all numbers so far."""
 
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Outcome:
     done: int = 0
 
     def add(self, other: Outcome) -> None:
-        """Count another's too."""
+        """Add another outcome's counts."""
         self.counts += other.counts
         self.problems += other.problems
         self.longest_s, self.most_mb = max(self.longest_s, other.longest_s), max(self.most_mb, other.most_mb)
@@ -76,7 +76,7 @@ def junk(draw: random.Random) -> Any:
 
 
 def damaged(kind: Kind, draw: random.Random) -> tuple[Files, str]:
-    """Which files are written instead, and what was done."""
+    """The damaged files, and the kind of damage."""
     if kind.sealed is not None and draw.random() < 0.4:
         return kind.sealed(draw, junk), "behind a right checksum"
     name = draw.choice(kind.damaged)
@@ -98,7 +98,7 @@ def _flipped(data: bytes, draw: random.Random) -> bytes:
 
 
 def _flipped_early(data: bytes, draw: random.Random) -> bytes:
-    """In the headers."""
+    """Flip bits in the headers."""
     return _flipped(data[:200], draw) + data[200:]
 
 
@@ -127,13 +127,13 @@ def _zeros(data: bytes, draw: random.Random) -> bytes:
 
 
 def _other_number(data: bytes, draw: random.Random) -> bytes:
-    """Four bytes as a length or a size that cannot be."""
+    """Replace four bytes by an impossible length or size."""
     at = draw.randrange(min(len(data), 400) + 1)
     return data[:at] + draw.choice((b"\xff" * 4, b"\xff\xff\xff\x7f", b"\x7f\xff\xff\xff", bytes(4))) + data[at + 4 :]
 
 
 def _grown(data: bytes, draw: random.Random) -> bytes:
-    """Megabytes where a few bytes were."""
+    """Replace a few bytes by megabytes."""
     at = draw.randrange(len(data) + 1)
     return data[:at] + draw.choice((b"[", b"1,", b"- 1\n", b"a: 1\n", b"\x00", b'"', b"\n")) * 500_000 + data[at:]
 
@@ -156,7 +156,7 @@ _WORDS_WAYS = (_other_word, _other_word, _other_word, _other_word, _other_line, 
 
 
 def read(kind: Kind, folder: Path) -> Read:
-    """What the program makes of a folder."""
+    """The program's result for a folder."""
     with warnings_kept() as warnings:
         try:
             found = Read(kind.read(folder))
@@ -167,7 +167,7 @@ def read(kind: Kind, folder: Path) -> Read:
 
 
 def judged(kind: Kind, good: Any, found: Read) -> tuple[str, str]:
-    """What came of it in a word; and the problem, if it is one."""
+    """The outcome in a word, and the problem, if there is one."""
     if found.error:
         wrong = "\n" in found.error or len(found.error) > LINE_CHARS_MAX
         return "refused", f"a line of {len(found.error)} characters" if wrong else ""
@@ -239,7 +239,7 @@ def _one(outcome: Outcome, what: tuple[str, str], kind: Kind, good: Any, folder:
 
 
 def highest_mb() -> float:
-    """VmHWM of this process."""
+    """VmHWM of this process in MB."""
     line = next(one for one in Path("/proc/self/status").read_text().splitlines() if one.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 
@@ -291,7 +291,7 @@ def run_apart(first: int, count: int, seed: int, keep: Path | None) -> Outcome:
 
 
 def table(outcome: Outcome) -> str:
-    """Rows by kind."""
+    """A table with a row for each kind."""
     ways = ("refused", "the same", "told", "another valid value", "crashed")
     rows = ["| input | fed | " + " | ".join(ways) + " |", "|---|" + "---:|" * (len(ways) + 1)]
     for kind in sorted({kind for kind, _ in outcome.counts}):

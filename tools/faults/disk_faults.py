@@ -1,4 +1,4 @@
-"""Disks and files with state."""
+"""Faults of disks and of files with state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLOOR_MB = FREE_FLOOR_BYTES >> 20
 
 
 def _fill(disk: Path, leave_mb: int) -> Path:
-    """Leave so much."""
+    """Fill the disk except `leave_mb`; return the file."""
     filler = disk / "filler"
     with filler.open("wb") as stream:
         for _ in range((shutil.disk_usage(disk).free >> 20) - leave_mb):
@@ -53,7 +53,7 @@ def full_while_recording(cell: Cell) -> Seen:
 
 
 def read_while_recording(cell: Cell) -> Seen:
-    """Both kinds of recordings, read from their beginning again and again while the daemon writes them."""
+    """Both kinds of recordings are read repeatedly from the beginning while the daemon writes them."""
     cell.serve()
     cell.start()
     reads = 0
@@ -147,14 +147,14 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     detected_s = cell.told("its writer died; the file now ends after the last whole record", began_s)
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))
-    assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is told too
+    assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is reported too
     assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
     lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
     return Seen(detected_s, None, lost, "log; `replay` names the bytes, exit code 1")
 
 
 def _frames_of(path: Path) -> tuple[int, list[str]]:
-    """How many can be read; and what was told."""
+    """The number of readable frames, and the reports."""
     recording, read = Recording(path), 0
     told: list[str] = []
     while True:
@@ -176,7 +176,7 @@ def _after_a_stop(cell: Cell) -> int:
 
 
 def flipped_bit(cell: Cell) -> Seen:
-    """In the first press of a session, while no daemon runs."""
+    """A bit is flipped in a session's first press while no daemon runs."""
     count = _after_a_stop(cell)
     path = cell.folder / "maps/one" / PRESSES
     data = bytearray(path.read_bytes())
@@ -193,7 +193,7 @@ def flipped_bit(cell: Cell) -> Seen:
 
 
 def cut_description(cell: Cell) -> Seen:
-    """Of a session, while no daemon runs."""
+    """A session's description is cut short while no daemon runs."""
     _after_a_stop(cell)
     path = cell.folder / "maps/one" / SESSION
     path.write_bytes(path.read_bytes()[:40])

@@ -37,14 +37,14 @@ from tools.testbed.patience import patience
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 LONGEST_S = 3.0
-"""From the first frame to the kill."""
+"""Longest time from the first frame to the kill."""
 STEP_S = 0.15
 COMMAND = (sys.executable, "-m", "tacshade_edge")
 
 
 @dataclass(slots=True)
 class Acknowledged:
-    """What the daemons have said is there."""
+    """What the daemons have acknowledged."""
 
     presses: dict[str, int] = field(default_factory=dict)
     ended: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -58,7 +58,7 @@ class Acknowledged:
 
 @dataclass(slots=True)
 class Kills:
-    """What was done, and what was wrong."""
+    """Counts of the kills, and the problems."""
 
     doing: Counter[str] = field(default_factory=Counter)
     said: Counter[str] = field(default_factory=Counter)
@@ -88,7 +88,7 @@ class Killed:
         calibration_file.save(folder / "c.npz", painted_calibration())
 
     def one(self, draw: random.Random, longest_s: float) -> None:
-        """Start a daemon, let it work so long at most, kill it, look at what is left."""
+        """Start a daemon, let it work at most `longest_s`, kill it, and check what is left."""
         self._seen.messages.clear()
         self._told = 0
         began_s = time.monotonic()
@@ -147,7 +147,7 @@ class Killed:
                 self.kills.problems.append(f"a traceback at the start: {log.read_text()[-500:]}")
 
     def _ask(self, draw: random.Random, child: subprocess.Popen[bytes]) -> str:
-        """Ask for one thing more; what it was."""
+        """Send one more request; return its name."""
         self._hear()
         what = draw.choice(("press", "press", "press", "end", "abort", "record", "record", "reference", "reload"))
         self._names += 1
@@ -176,7 +176,7 @@ class Killed:
         self._seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode())
 
     def _hear(self) -> None:
-        """Take what was acknowledged since."""
+        """Take the acknowledgements since the last call."""
         known, messages = self.known, list(self._seen.messages)
         for message in messages[self._told :]:
             part = message.topic.removeprefix(f"{BASE}/")
@@ -211,7 +211,7 @@ class Killed:
             known.reference_crc32, known.reference_asked = result["calibration_crc32"], False
 
     def _look(self) -> None:
-        """Whether all of that is on the disk."""
+        """Check that everything acknowledged is on the disk."""
         for name, presses in list(self.known.presses.items()):
             self._look_at_session(name, presses)
         for folder, frames in list(self.known.recorded.items()):

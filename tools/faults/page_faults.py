@@ -1,4 +1,4 @@
-"""The page in a real browser, while somebody publishes to it what is to freeze it or to end its scripts."""
+"""The page in a real browser, while somebody publishes messages meant to freeze it or crash its scripts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PATHS = (
 ORIGINS = ("http://evil.example", "http://127.0.0.1:9", "http://localhost.evil.example", "null")
 GUESSES = 30
 TASK_S_MAX = 1.0
-"""The longest that the page may answer nothing."""
+"""Longest time that the page may be unresponsive."""
 GRIDS = ((0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, float("nan")), (4, 4, 1e-30))
 TEXTS: tuple[tuple[str, object], ...] = (
     ("status/camera", {"state": "away", "reason": LONG, "device": LONG}),
@@ -64,7 +64,7 @@ TEXTS: tuple[tuple[str, object], ...] = (
 
 
 def hostile_messages(cell: Cell) -> Seen:
-    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, beside a sensor that is sound."""
+    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, next to a sound sensor."""
     if CHROMIUM is None or DRIVER is None:
         raise SkippedError("needs Chromium and its driver")
     cell.broker.start()
@@ -104,13 +104,13 @@ def hostile_messages(cell: Cell) -> Seen:
 
 
 def drawn_again(driver: Chrome) -> None:
-    """Until the page has told its health once more, which it does twice a second."""
+    """Wait until the page has reported its health once more, which it does twice a second."""
     before_ms = page(driver, "performance.now()")
     wait_until(lambda: page(driver, "performance.now()") > before_ms + 1000, 60, "the page answers")
 
 
 def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
-    """A `height` of another grid, whole by its checksum."""
+    """A `height` with another grid and a right checksum."""
     payload = bytes(2 * rows * cols)
     head = bytearray(sound[:96])
     struct.pack_into("<HH", head, 32, rows, cols)
@@ -121,7 +121,7 @@ def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
 
 
 def who_may_not(cell: Cell) -> Seen:
-    """Paths that are none, other sites' pages and guessed tokens; the token itself opens the page before."""
+    """Unknown paths, other sites' pages and guessed tokens; the token itself opens the page first."""
     cell.broker.start()
     token_file = cell.folder / "token"
     with dashboard(f"127.0.0.1:{cell.broker.port}", "--token-file", str(token_file)) as address:
@@ -145,7 +145,7 @@ def who_may_not(cell: Cell) -> Seen:
 
 
 def status_of(port: int, path: str, token: str) -> int:
-    """What the page's server answers to a path as it stands."""
+    """The status of the page's server for a verbatim path."""
     with contextlib.closing(HTTPConnection("127.0.0.1", port, timeout=30)) as connection:
         connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
         return connection.getresponse().status

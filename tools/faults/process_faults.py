@@ -1,4 +1,4 @@
-"""The daemon's own process; its watchdog and restarts are tried under systemd in the guest (tests/service)."""
+"""Faults of the daemon's process; the guest tests its watchdog and restarts under systemd (tests/service)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ YEAR_S = 365 * 86_400
 
 
 def killed(cell: Cell) -> Seen:
-    """While it records and has a session."""
+    """The daemon is killed while it records and has a session."""
     cell.serve()
     cell.start()
     count = cell.session("one")
@@ -43,7 +43,7 @@ def killed(cell: Cell) -> Seen:
 
 
 def frozen(cell: Cell) -> Seen:
-    """It gets no processor for a while."""
+    """The daemon gets no processor time for a while."""
     cell.serve()
     cell.start()
     assert cell.daemon is not None
@@ -101,7 +101,7 @@ def clock_steps(cell: Cell) -> Seen:
 
 
 def stopped_early(cell: Cell) -> Seen:
-    """SIGTERM at moments of the start."""
+    """SIGTERM at several moments of the start."""
     path = cell.settings()
     codes = []
     for after_s in (0.05, 0.3, 0.6, 0.9, 1.2, 1.8):
@@ -127,7 +127,7 @@ def little_memory(cell: Cell) -> Seen:
 
 
 def shared_folder(cell: Cell) -> Seen:
-    """A second daemon, another sensor_id, the same folder for sessions."""
+    """A second daemon with another sensor_id uses the same folder for sessions."""
     cell.serve()
     cell.start()
     count = cell.session("one")
@@ -151,7 +151,7 @@ def shared_folder(cell: Cell) -> Seen:
 
 
 def one_of_several(cell: Cell) -> Path:
-    """Settings of a file that could have more sensors: a supervisor, and a process for this one."""
+    """Write settings in the form for several sensors: a supervisor, and a process for this sensor."""
     path = cell.folder / "several.yaml"
     path.write_text(
         "profile: fast\nsensors:\n"
@@ -163,7 +163,7 @@ def one_of_several(cell: Cell) -> Path:
 
 
 def part_of(cell: Cell) -> int:
-    """The process of its one sensor."""
+    """The id of the one sensor's process."""
     assert cell.daemon is not None
     found = subprocess.run(("pgrep", "-P", str(cell.daemon.pid)), capture_output=True, check=True)
     return int(found.stdout)

@@ -1,4 +1,4 @@
-"""Whoever may ask, asks for what he should not have."""
+"""A permitted client sends requests that it should not."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FLOOD = 5000
 
 
 def reply_topic(cell: Cell) -> Seen:
-    """The answer is wanted on a topic of the sensor's own."""
+    """A request asks for its answer on one of the sensor's own topics."""
     cell.serve()
     cell.start()
     since_s = cell.mark()
@@ -43,7 +43,7 @@ def flood(cell: Cell) -> Seen:
         cell.seen.publish(f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0)
     answered_s = 0.0
     while not answered_s:
-        # Answers that the broker has not yet taken are few: one may be left out.
+        # Few answers may wait for the broker: one may be left out.
         cell.seen.publish(f"{BASE}/req/status", b"{}")
         pause(0.1)
         if any(b'"ok":true' in answer for answer in cell.seen.of(f"{BASE}/res/status")):

@@ -1,4 +1,4 @@
-"""What the faults happen to: a daemon process on cheap frames, its broker, its log, what it publishes."""
+"""The target of the faults: a daemon process on cheap frames, its broker, its log and its messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMMAND = (sys.executable, "-m", "tacshade_edge")
 
 
 def write_posed_images(folder: Path) -> None:
-    """Frames of a skin that is left alone and touched, each with the pose of another place."""
+    """Write frames of an untouched and a touched skin, each with the pose of another place."""
     folder.mkdir(parents=True)
     cv2.imwrite(str(folder / "free.png"), FREE)
     cv2.imwrite(str(folder / "touched.png"), TOUCHED)
@@ -46,17 +46,17 @@ def write_posed_images(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What came of a fault.
+    """The outcome of a fault.
 
     Attributes
     ----------
     detected_s : float or None
-        Until the daemon told it; None where there is nothing to tell.
+        Time until the daemon reported it; None if there is nothing to report.
     recovered_s : float or None
-        From the fault's end until it worked again; None where nothing stops working.
+        Time from the fault's end until the daemon worked again; None if nothing stops working.
     lost : str
     told : str
-        Where.
+        Where the daemon reported it.
     """
 
     detected_s: float | None
@@ -66,11 +66,11 @@ class Seen:
 
 
 class SkippedError(Exception):
-    """A fault that cannot be made here, and why."""
+    """A fault that cannot be produced here, and why."""
 
 
 class Cell:
-    """One daemon and what is around it; every path is below its folder.
+    """One daemon and its surroundings; every path is below its folder.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Cell:
         self._closing.close()
 
     def enter(self, manager: Any) -> Any:
-        """Something that ends with the cell."""
+        """Enter a context manager that exits with the cell."""
         return self._closing.enter_context(manager)
 
     def serve(self, **options: Any) -> None:
@@ -116,7 +116,7 @@ class Cell:
     def settings(
         self, more: str = "", *, port: int | None = None, name: str = "s.yaml", images: str = "images", mqtt: str = ""
     ) -> Path:
-        """Write them."""
+        """Write the settings; return their path."""
         path = self.folder / name
         path.write_text(
             f"sensor_id: {SENSOR_ID}\nprofile: fast\ncalibration: c.npz\n"
@@ -129,7 +129,7 @@ class Cell:
     def start(
         self, path: Path | None = None, *, streams: bool = True, environment: dict[str, str] | None = None
     ) -> None:
-        """Start the daemon, and wait for its frames."""
+        """Start the daemon and wait for its frames."""
         self._mark = len(self.log())
         self.daemon = self.spawn(path or self.settings(), environment=environment)
         if streams:
@@ -143,39 +143,39 @@ class Cell:
         before: Callable[[], None] | None = None,
         environment: dict[str, str] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """A daemon; `environment` is added to this process's own."""
+        """Start a daemon; `environment` is added to this process's own."""
         words, around = [*COMMAND, "run", "--config", str(path)], {**os.environ, **(environment or {})}
         with (self.folder / log).open("a") as stream:
             return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=around)
 
     def kill(self) -> None:
-        """With SIGKILL."""
+        """Kill the daemon with SIGKILL."""
         assert self.daemon is not None
         self.daemon.kill()
         self.daemon.wait()
 
     def log(self, name: str = "log") -> str:
-        """Of all daemons."""
+        """The log of all daemons."""
         path = self.folder / name
         return path.read_text(errors="replace") if path.exists() else ""
 
     def new_log(self) -> str:
-        """Since `mark`."""
+        """The log since `mark`."""
         return self.log()[self._mark :]
 
     def mark(self) -> float:
-        """Forget what was said until now; the time in s."""
+        """Skip the log so far; return the time in s."""
         self._mark = len(self.log())
         self.seen.messages.clear()
         return time.monotonic()
 
     def told(self, pattern: str, since_s: float, seconds: float = 20) -> float:
-        """Wait until a new line of the log matches; s since then."""
+        """Wait until a new line of the log matches; return the seconds since `since_s`."""
         self.until(lambda: re.search(pattern, self.new_log()), seconds, f"{pattern} in {self.new_log()[-300:]!r}")
         return time.monotonic() - since_s
 
     def until(self, condition: Callable[[], object], seconds: float, what: str) -> None:
-        """Poll; a daemon that ended fails it at once."""
+        """Poll until the condition holds; fail at once if the daemon has ended."""
 
         def holds() -> object:
             assert self.daemon is None or self.daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
@@ -184,12 +184,12 @@ class Cell:
         wait_until(holds, seconds, what)
 
     def last(self, topic: str) -> Any:
-        """The latest message, from JSON; empty without one."""
+        """A topic's latest message, decoded from JSON; empty without one."""
         payloads = self.seen.of(f"{BASE}/{topic}")
         return json.loads(payloads[-1]) if payloads else {}
 
     def maps_again(self, since_s: float, seconds: float = 20) -> float:
-        """Wait for height maps of frames from now on; s since then."""
+        """Wait for height maps of frames from now on; return the seconds since `since_s`."""
         now_ns = time.monotonic_ns()
         self.seen.messages.clear()
 
@@ -200,7 +200,7 @@ class Cell:
         return time.monotonic() - since_s
 
     def frames(self) -> dict[str, int]:
-        """Of the next health message, which must add up."""
+        """The frame counts of the next health message, which must add up."""
         before = len(self.seen.of(f"{BASE}/health"))
         self.until(lambda: len(self.seen.of(f"{BASE}/health")) > before, 10, "health")
         frames: dict[str, int] = self.last("health")["frames"]
@@ -208,7 +208,7 @@ class Cell:
         return frames
 
     def ask(self, verb: str, **body: Any) -> dict[str, Any]:
-        """A request's answer."""
+        """Send a request; return its answer."""
         before = len(self.seen.of(f"{BASE}/res/{verb}"))
         self.seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode())
         self.until(lambda: len(self.seen.of(f"{BASE}/res/{verb}")) > before, 20, f"an answer to {verb} {body}")
@@ -216,13 +216,13 @@ class Cell:
         return answer
 
     def presses(self, count: int) -> int:
-        """Wait until a session has so many, of contacts that came to rest; how many were acknowledged."""
+        """Wait until a session has `count` presses of settled contacts; return how many were acknowledged."""
         self.until(lambda: self.last("status/stitching").get("presses", 0) >= count, 30, f"{count} presses")
         found: int = self.last("status/stitching")["presses"]
         return found
 
     def session(self, name: str, count: int = 3) -> int:
-        """Begin one, with so many presses at least."""
+        """Begin a session and wait for at least `count` presses."""
         answer = self.ask("stitch", action="begin", name=name)
         assert answer["ok"], answer
         return self.presses(count)
@@ -250,15 +250,15 @@ class Proxy:
         self.cut()
 
     def stall(self) -> None:
-        """Nothing goes through, and nobody is told."""
+        """Let nothing through, without closing a connection."""
         self._flows.clear()
 
     def flow(self) -> None:
-        """Go on."""
+        """Let bytes through again."""
         self._flows.set()
 
     def cut(self) -> None:
-        """Close what is open, with a reset."""
+        """Reset all open connections."""
         for one in self._pairs:
             with contextlib.suppress(OSError):
                 one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
@@ -294,7 +294,7 @@ class Proxy:
 
 @contextlib.contextmanager
 def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
-    """A file system of its own, as only root can make one."""
+    """A separate small file system, which only root can make."""
     if os.getuid() != 0 or shutil.which("mount") is None:
         raise SkippedError("needs root: a small file system")
     at.mkdir(parents=True, exist_ok=True)
@@ -308,10 +308,10 @@ def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
 
 
 def pause(seconds: float) -> None:
-    """A fault's own time."""
+    """Wait for as long as a fault lasts."""
     threading.Event().wait(seconds)
 
 
 def ended(process: subprocess.Popen[bytes], seconds: float = 20) -> int:
-    """Wait for an exit code."""
+    """Wait until a process ends; return its exit code."""
     return process.wait(patience(seconds))

@@ -1,4 +1,4 @@
-"""The robot and its line, on a pty."""
+"""Faults of the robot and its line, on a pty."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _with_robot(cell: Cell, faults: Faults | None = None) -> PtyRobot:
 
 
 def unplugged(cell: Cell) -> Seen:
-    """The cable is pulled, and put back."""
+    """The cable is pulled and plugged in again."""
     robot = _with_robot(cell)
     since_s = cell.mark()
     robot.unplug()
@@ -37,7 +37,7 @@ def unplugged(cell: Cell) -> Seen:
 
 
 def reboots(cell: Cell) -> Seen:
-    """It begins anew, with another clock."""
+    """The robot restarts with another clock."""
     robot = _with_robot(cell, Faults(reboot_s=6.0))
     cell.mark()
     boots = robot.told.boots
@@ -49,7 +49,7 @@ def reboots(cell: Cell) -> Seen:
 
 
 def noise(cell: Cell) -> Seen:
-    """A tenth of the lines is damaged."""
+    """A tenth of the lines are damaged."""
     _with_robot(cell, Faults(damage=0.1))
     pause(3.0)
     cell.frames()
@@ -60,7 +60,7 @@ def noise(cell: Cell) -> Seen:
 
 
 def silent(cell: Cell) -> Seen:
-    """It says nothing any more."""
+    """The robot falls silent."""
     robot = _with_robot(cell)
     since_s = cell.mark()
     robot.stop_talking()
@@ -69,7 +69,7 @@ def silent(cell: Cell) -> Seen:
 
 
 def shared_line(cell: Cell) -> Seen:
-    """A second daemon wants the same port."""
+    """A second daemon opens the same port."""
     _with_robot(cell)
     text = (cell.folder / "s.yaml").read_text()
     path = cell.folder / "other.yaml"

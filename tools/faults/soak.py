@@ -80,7 +80,7 @@ class Soaked:
 
 
 class Soak:
-    """The daemon and what plays with it."""
+    """The daemon and its partners."""
 
     def __init__(self, folder: Path, broker: Broker, seen: Subscriber, pid: int) -> None:
         self.out = Soaked()
@@ -94,7 +94,7 @@ class Soak:
         self._down_since_s: float | None = None
 
     def run(self, seconds: float, still_runs: Callable[[], bool], progress: bool) -> None:
-        """Until the time is over."""
+        """Run until the time is over."""
         next_s = {"add": 0.0, "restart": RESTART_S, "memory": 0.0, "told": 60.0, "record": 0.0}
         while (at_s := time.monotonic() - self._began_s) < seconds:
             if not still_runs():
@@ -130,7 +130,7 @@ class Soak:
         self.out.took_s = time.monotonic() - self._began_s
 
     def settle(self) -> None:
-        """The last health, after the stop."""
+        """Take the last health after the stop."""
         self._hear(time.monotonic() - self._began_s)
 
     def _ask(self, verb: str, body: dict[str, Any]) -> None:
@@ -177,7 +177,7 @@ class Soak:
             self.out.problems.append(f"not accounted for: {frames}")
 
     def _take_recorder(self, status: dict[str, Any]) -> None:
-        """A recording that is over is read again, and thrown away."""
+        """Read a finished recording and delete it."""
         if status["state"] == "recording" or not status.get("folder"):
             return
         folder = Path(status["folder"])
@@ -241,7 +241,7 @@ def never_reading(port: int) -> Iterator[Counter[str]]:
 
 
 def run(seconds: float, *, progress: bool = False) -> Soaked:
-    """Soak so long."""
+    """Soak for `seconds`."""
     with TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         draw_rings(folder)
@@ -250,7 +250,7 @@ def run(seconds: float, *, progress: bool = False) -> Soaked:
         link = folder / "line"
         robot = stack.enter_context(PtyRobot(link, rate_hz=100, binary=True, where=place))
         config = folder / "config.yaml"
-        # A path below /dev, as the settings want it.
+        # The settings require a path below /dev.
         config.write_text(
             f"sensor_id: finger\nprofile: fast\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
             f"serial: {{device: /dev/..{link}}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
@@ -293,7 +293,7 @@ def _judge(out: Soaked, robot: PtyRobot) -> None:
 
 
 def table(out: Soaked) -> str:
-    """What was done, and what came of it."""
+    """A table of the load and its outcome."""
     health, megabytes = out.last, [mb for _, mb in out.resident_mb]
     serial = health["serial"]
     rows = ["| what | |", "|---|---:|", f"| seconds | {out.took_s:.0f} |"]

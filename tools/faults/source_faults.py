@@ -1,4 +1,4 @@
-"""Frames, calibration and settings; a camera's own faults are tried in the guest (tests/guest)."""
+"""Faults of frames, calibration and settings; the guest tests a camera's own faults (tests/guest)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def damaged_image(cell: Cell) -> Seen:
 
 
 def black(cell: Cell) -> Seen:
-    """The lens is covered, and uncovered."""
+    """The lens is covered and uncovered."""
     cell.serve()
     cell.start()
     pictures = {name: (cell.folder / f"images/{name}.png") for name in ("free", "touched")}
@@ -47,7 +47,7 @@ def black(cell: Cell) -> Seen:
 
 
 def no_calibration(cell: Cell) -> Seen:
-    """There is none at the start, and it comes."""
+    """There is no calibration at the start, and it comes later."""
     path = cell.folder / "c.npz"
     data = path.read_bytes()
     path.unlink()
@@ -62,7 +62,7 @@ def no_calibration(cell: Cell) -> Seen:
 
 
 def bad_calibration(cell: Cell) -> Seen:
-    """A damaged one at a reload, then a good one."""
+    """A reload finds a damaged calibration, then a good one."""
     path = cell.folder / "c.npz"
     data = path.read_bytes()
     cell.serve()
@@ -84,7 +84,7 @@ def bad_calibration(cell: Cell) -> Seen:
 
 
 def bad_settings(cell: Cell) -> Seen:
-    """A wrong key at a reload, then none."""
+    """A reload finds a wrong key, then none."""
     cell.serve()
     cell.start()
     since_s = cell.mark()

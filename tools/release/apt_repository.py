@@ -25,7 +25,7 @@ from pathlib import Path
 from tools.release.package_debian import ARCHITECTURES, TREE
 
 SUITES = {"deb12": "bookworm", "deb13": "trixie"}
-"""By the end of a package's version (`package_debian.debian_version`)."""
+"""Suites by the end of a package's version (`package_debian.debian_version`)."""
 POOL = "pool/main/t/tacshade-edge"
 KEY_FILE = "tacshade-edge.asc"
 
@@ -105,7 +105,7 @@ def _write_suite(out: Path, suite: str, debs: Sequence[Path], key: str) -> None:
 
 
 def main() -> int:
-    """Lay out what the command line asks for."""
+    """Lay out the repository that the command line requests."""
     parser = argparse.ArgumentParser(prog="apt_repository.py", description="Lay out a signed apt repository.")
     parser.add_argument("--key", required=True, help="fingerprint or address of the key that signs")
     parser.add_argument("--debs", type=Path, default=TREE / "dist", help="folder with the packages")

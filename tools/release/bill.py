@@ -1,4 +1,4 @@
-"""A bill of materials (CycloneDX 1.6) of installed wheels: packages, and the libraries of others that they bring."""
+"""A bill of materials (CycloneDX 1.6) of installed wheels: packages and the third-party libraries that they bundle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from email.message import Message
 from pathlib import Path
 from typing import Any
 
-# Libraries in a wheel's folder NAME.libs, by how their names begin: whose they are, their licence (SPDX).
+# Libraries in a wheel's folder NAME.libs, by the start of their names: project and licence (SPDX).
 BUNDLED = {
     "libaom": ("AOM AV1", "BSD-2-Clause"),
     "libavif": ("libavif", "BSD-2-Clause"),
@@ -31,7 +31,7 @@ BUNDLED = {
     "libvpx": ("libvpx", "BSD-3-Clause"),
 }
 
-# What older metadata say in words of their own.
+# SPDX expressions of older metadata's free texts.
 SPDX = {
     "3-Clause BSD License": "BSD-3-Clause",
     "Apache 2.0": "Apache-2.0",
@@ -88,18 +88,18 @@ def bill(found: Mapping[str, Path], root: Path) -> str:
 
 
 def named(name: str, version: str, spdx: str) -> dict[str, Any]:
-    """What every component has."""
+    """The fields of every component."""
     told = {"version": version} if version else {}
     return {"name": name, **told, "licenses": [{"expression": spdx}]}
 
 
 def component(name: str, version: str, spdx: str) -> dict[str, Any]:
-    """A library."""
+    """A library's component."""
     return {"type": "library", **named(name, version, spdx)}
 
 
 def licence(metadata: Message) -> str:
-    """The SPDX expression of a package's metadata. Raises KeyError where they say something unknown."""
+    """The SPDX expression of a package's metadata. Raises KeyError if the licence is unknown."""
     if expression := metadata["License-Expression"]:
         return str(expression)
     classifiers = [value for value in metadata.get_all("Classifier", []) if value.startswith("License ::")]
@@ -111,7 +111,7 @@ def licence(metadata: Message) -> str:
 
 
 def licence_files(about: Path) -> Iterator[str]:
-    """Paths of the licence texts that a package brings, in a folder of installed wheels."""
+    """Paths of a package's licence texts, in a folder of installed wheels."""
     for line in (about / "RECORD").read_text(encoding="utf-8").splitlines():
         path = line.rsplit(",", 2)[0].strip('"')
         if _LICENCE_FILE.search(path.rpartition("/")[2]) and not path.endswith((".py", ".pyc", ".pyi")):
@@ -119,7 +119,7 @@ def licence_files(about: Path) -> Iterator[str]:
 
 
 def bundled(about: Path) -> Iterator[dict[str, Any]]:
-    """The shared libraries of others that a package brings. Raises KeyError for one that is not known."""
+    """The third-party shared libraries that a package bundles. Raises KeyError for an unknown one."""
     folder = about.with_name(f"{about.name.partition('-')[0]}.libs")
     for path in sorted(folder.glob("*.so*")):
         known = [name for name in BUNDLED if path.name.startswith(name)]

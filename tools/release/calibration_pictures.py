@@ -35,13 +35,13 @@ from tools.testbed.simulator import camera_faults
 
 SHOWN_PX = (320, 240)
 PRESS = ("ball", "6", "2.5", "1", "-3")
-"""As hand.csv has it, and as a person types it."""
+"""The press as hand.csv has it and as a person types it."""
 PAGE_PX = (760, 1040)
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 
 
 def views() -> dict[str, U8]:
-    """What the camera sees: well, badly in three ways, and pressed."""
+    """The camera's images: a good one, three kinds of bad ones, and a press."""
     sensor = SimulatedSensor()
     good = to_grey(sensor.frame().image)
     _, radius_mm, depth_mm, x_mm, y_mm = PRESS
@@ -56,7 +56,7 @@ def views() -> dict[str, U8]:
 
 
 def told(grey: U8) -> str:
-    """What `capture` says of a picture."""
+    """The report of `capture` on a picture."""
     try:
         seen = view(grey, find_pattern(grey))
     except ConfigError as error:
@@ -68,7 +68,7 @@ def told(grey: U8) -> str:
 
 
 def show_page(path: Path) -> None:
-    """A capture as it goes on after a press."""
+    """Draw the page of a capture as it continues after a press."""
     with tempfile.TemporaryDirectory() as name:
         folder, model = Path(name), SensorModel()
         out = folder / "mysensor"
@@ -102,7 +102,7 @@ def show_page(path: Path) -> None:
 
 
 def main() -> None:
-    """Draw all of them."""
+    """Draw all pictures."""
     parser = argparse.ArgumentParser(description="The pictures of calibration.md.")
     folder = Path(__file__).resolve().parents[2] / "docs/images"
     parser.add_argument("folder", type=Path, nargs="?", default=folder, metavar="DIR", help="docs/images")

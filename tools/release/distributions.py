@@ -112,7 +112,7 @@ def build(tree: Path, out: Path) -> list[Path]:
 
 
 def check(files: list[Path]) -> None:
-    """Raise CalledProcessError where an index would refuse a file or could not render its README."""
+    """Raise CalledProcessError if an index would refuse a file or could not render its README."""
     subprocess.run((*TWINE, *map(str, files)), check=True)
 
 

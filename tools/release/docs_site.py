@@ -1,4 +1,4 @@
-"""What MkDocs cannot know of docs/: mkdocs.yml names this file as its hook.
+"""The settings and links that MkDocs cannot derive from docs/: mkdocs.yml names this file as its hook.
 
 The pages read as plain files too, on a forge or in an editor. So links to files outside docs/ are relative there, and
 become addresses in the repository here; anchors are those that a forge makes of headings.

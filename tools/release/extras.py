@@ -50,7 +50,7 @@ STATED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Locked:
-    """A package of a uv.lock: its wheels' names and bytes, and the entries of what it depends on."""
+    """A package of a uv.lock: its wheels' names and bytes, and its dependencies' entries."""
 
     name: str
     version: str
@@ -96,7 +96,7 @@ def parse(document: Mapping[str, Any]) -> list[Locked]:
 
 
 def needed(packages: Iterable[Locked], name: str, extras: Iterable[str], machine: str) -> set[Locked]:
-    """What an installation of a package with some extras brings on a machine, without itself."""
+    """The packages that an installation with some extras brings on a machine, without the package itself."""
     by_name: dict[str, list[Locked]] = {}
     for each in packages:
         by_name.setdefault(each.name, []).append(each)
@@ -121,7 +121,7 @@ def needed(packages: Iterable[Locked], name: str, extras: Iterable[str], machine
 
 
 def size_mb(packages: Iterable[Locked], machine: str) -> float:
-    """Megabytes of the wheels that pip would take on a machine. Raises ValueError where one has none for it."""
+    """Megabytes of the wheels that pip would take on a machine. Raises ValueError if a package has none for it."""
     order = {tag: rank for rank, tag in enumerate(tags(machine))}
     total = 0
     for package in packages:
@@ -137,14 +137,14 @@ def size_mb(packages: Iterable[Locked], machine: str) -> float:
 
 
 def tags(machine: str) -> list[Tag]:
-    """Of wheels that Debian 13's Python on a machine takes, the best first."""
+    """Tags of the wheels that Debian 13's Python accepts on a machine, the best first."""
     platforms = [f"manylinux_2_{minor}_{machine}" for minor in range(41, 4, -1)]
     platforms += [f"{name}_{machine}" for name in ("manylinux2014", "manylinux2010", "manylinux1")]
     return [*cpython_tags(PYTHON, platforms=platforms), *compatible_tags(PYTHON, "cp313", platforms)]
 
 
 def licences(packages: Iterable[Locked]) -> list[str]:
-    """What the packages state, each once. Raises KeyError for one that nobody looked at."""
+    """The packages' licences, each once. Raises KeyError for a package that nobody has checked."""
     return sorted({stated(package.name) for package in packages})
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The film of the README: the page of the demo's hand over one round, in a headless browser.
+"""The README's film: the page of the demo's hand over one round, in a headless browser.
 
 ::
 
@@ -33,12 +33,12 @@ SIZE_PX: Final = (1100, 900)
 WIDTH_PX: Final = 720
 QUALITY: Final = 45
 DRAWN_S: Final = 40.0
-"""After so long the demo has drawn its round."""
+"""Time in s after which the demo has drawn its round."""
 BYTES_MAX: Final = 2_000_000
 
 
 def main() -> None:
-    """Film, write, print what came of it."""
+    """Film the page, write the file and print its figures."""
     parser = argparse.ArgumentParser(description="The film of the README.")
     default = Path(__file__).resolve().parents[2] / "docs/images/hand.webp"
     parser.add_argument("file", type=Path, nargs="?", default=default, metavar="FILE", help="docs/images/hand.webp")
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def address(demo: subprocess.Popen[str]) -> str:
-    """Where the demo says that its page is."""
+    """The page's address as the demo prints it."""
     assert demo.stdout is not None
     for line in demo.stdout:
         if found := re.search(r"http://\S+", line):
@@ -82,7 +82,7 @@ def address(demo: subprocess.Popen[str]) -> str:
 
 
 def film(page: str, profile: Path) -> tuple[list[Image.Image], list[int]]:
-    """Pictures over one round of the demo, and how long each stands, in ms."""
+    """Pictures over one round of the demo, and how long each is shown, in ms."""
     pictures, at_s = [], []
     with browser(profile, size_px=SIZE_PX) as driver:
         driver.get(page)

@@ -32,13 +32,13 @@ def lay_out(files: Iterable[Path], out: Path) -> None:
 
 
 def name_of(file: Path) -> str:
-    """The distribution's name, as an index has it."""
+    """The distribution's normalised name in an index."""
     name = (parse_wheel_filename if file.suffix == ".whl" else parse_sdist_filename)(file.name)[0]
     return str(canonicalize_name(name))
 
 
 def fetch_locked(folder: Path, python: str) -> None:
-    """Fetch what the lock names into a folder, for Debian's Python of that version on x86-64."""
+    """Fetch the lock's wheels into a folder, for Debian's Python of that version on x86-64."""
     assert python in RELEASES
     platforms = [word for glibc in (28, 27, 24, 17) for word in ("--platform", f"manylinux_2_{glibc}_x86_64")]
     words = [

@@ -35,7 +35,7 @@ UV = (sys.executable, "-m", "uv")
 LOCK = TREE / "systemd/requirements.lock"
 CONFFILES = ("etc/tacshade-edge/config.yaml", "etc/mosquitto/conf.d/tacshade.conf", "etc/mosquitto/tacshade.acl")
 OURS = ("refresh.sh", "hand.conf", "rpicam.conf", "serial.conf")
-"""What the scripts run, and what a person puts where he needs it."""
+"""Files that the scripts run, and files that a person installs as needed."""
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
 CONTROL = """\
 Package: tacshade-edge
@@ -61,7 +61,7 @@ lists them and the libraries that they bring.
 
 
 def main() -> int:
-    """Make what the command line asks for."""
+    """Make the packages that the command line requests."""
     parser = argparse.ArgumentParser(prog="package_debian.py", description="Make Debian packages of the service.")
     parser.add_argument("--machine", nargs="+", choices=ARCHITECTURES, default=list(ARCHITECTURES))
     parser.add_argument("--python", nargs="+", choices=RELEASES, default=list(RELEASES))
@@ -94,7 +94,7 @@ def file_name(told: str, python: str, machine: str) -> str:
 
 
 def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None:
-    """Lay everything that a package of version `told` has below `root`."""
+    """Lay out all files of a package of version `told` below `root`."""
     root.chmod(0o755)
     environment(root / APP, wheel, machine, python)
     below = os.environ | {"DESTDIR": str(root), "LIB": "/usr/lib"}
@@ -157,7 +157,7 @@ def check_machine(root: Path, machine: str) -> None:
 
 
 def pack(root: Path, file: Path, level: int) -> None:
-    """Make the package of what lies below `root`."""
+    """Pack the files below `root` into the package."""
     subprocess.run(("chmod", "-R", "u=rwX,go=rX", str(root)), check=True)
     (root / "etc/tacshade-edge").chmod(0o750)
     command = ("git", "-C", str(TREE), "log", "-1", "--format=%ct")

@@ -72,7 +72,7 @@ def draw(seed: int, count: int, sources: Iterable[str] = SOURCES) -> list[Senten
 
 @functools.cache
 def collect(source: str) -> tuple[Sentence, ...]:
-    """Everything that one of `SOURCES` says, each text once."""
+    """All sentences of one of `SOURCES`, each text once."""
     found = {"docs": _of_docs, "help": _of_help, "messages": _of_messages}[source]()
     unique: dict[str, Sentence] = {}
     for sentence in found:
@@ -82,7 +82,7 @@ def collect(source: str) -> tuple[Sentence, ...]:
 
 
 def _words(text: str) -> int:
-    """How many words a text has beside code."""
+    """The number of words in a text, without code."""
     return len(_WORD.findall(_CODE.sub("", text)))
 
 

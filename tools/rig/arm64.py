@@ -7,9 +7,9 @@
     python3 -m tools.rig.arm64 --count -m MODULE [ARGUMENT...]     prints the instructions that Python executes
 
 The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's packages unpacked,
-the wheels of ``systemd/requirements.lock`` installed, checked by their hashes, and what the tests need beside them.
-COMMAND runs in it with this tree at ``/src``, its folder; the machine's network is its network. Needs root, and the
-Debian packages debootstrap, qemu-user-static, and for --count qemu-user and gcc. 77 says that it cannot be run here.
+the wheels of ``systemd/requirements.lock`` installed, checked by their hashes, and the tests' other dependencies.
+COMMAND runs in it with this tree at ``/src``, its folder, on the machine's network. Needs root, and the Debian packages
+debootstrap, qemu-user-static, and for --count qemu-user and gcc. Exit status 77 means that it cannot run here.
 
 The processor is emulated instruction by instruction: its speed says nothing of a board's, the count does. The kernel's
 files that tell what processor there is (/proc/cpuinfo, /sys) are those of a Pi 5, since libraries choose their code by
@@ -72,11 +72,11 @@ exec chroot "$1" /bin/bash -c "cd /src && exec $3"
 
 
 class CannotRunError(Exception):
-    """It cannot be run on this machine; one line says why."""
+    """The command cannot run on this machine; one line says why."""
 
 
 def check(programs: dict[str, str]) -> None:
-    """Raise CannotRunError when something that this needs is not here."""
+    """Raise CannotRunError if a requirement is missing."""
     if os.geteuid():
         raise CannotRunError("expected root (to mount, and to enter another user space)")
     missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
@@ -85,7 +85,7 @@ def check(programs: dict[str, str]) -> None:
 
 
 def emulator() -> None:
-    """Have the kernel run arm64 programs by QEMU, also those that programs start."""
+    """Make the kernel run arm64 programs with QEMU, including those that programs start."""
     if not (BINFMT / "register").exists():
         _run("mount", "-t", "binfmt_misc", "binfmt_misc", str(BINFMT))
     if not (BINFMT / "qemu-aarch64").exists():
@@ -152,7 +152,7 @@ def counted(script: list[str]) -> int:
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(CPUINFO)
     paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
-    # Without a fixed seed Python's start differs by a million instructions from one time to the next.
+    # Without a fixed seed Python's start varies by a million instructions between runs.
     ours = {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"], "PYTHONHASHSEED": "0"}
     environment = os.environ | ENVIRONMENT | ours
     words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")

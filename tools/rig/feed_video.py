@@ -60,7 +60,7 @@ def set_up() -> None:
 
 
 def play(frames: list[bytes], rate: float, hold: bool) -> None:
-    """Hand the frames to the output for ever; the driver shows one until the next comes."""
+    """Feed the frames to the output endlessly; the driver shows each until the next comes."""
     turns = [0]
 
     def turn(*_: object) -> None:

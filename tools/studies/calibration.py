@@ -5,9 +5,9 @@
 
     .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100] [--height 480]
 
-Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then one
-thing at a time is made wrong in it, and the right warnings (or refusals) are counted. What is wrong at one press is
-made wrong at each of them in turn.
+Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then the
+study introduces one error at a time and counts the right warnings (or refusals). An error in one press is introduced
+into each press in turn.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ REFERENCES, PRESSES = 5, 24
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """What a user brings."""
+    """The references and presses that a user brings."""
 
     model: SensorModel
     simulated: SimulatedSensor
@@ -66,7 +66,7 @@ class Set:
 
     @property
     def scale(self) -> float:
-        """What lengths on the nominal skin are multiplied by."""
+        """The factor on lengths on the nominal skin."""
         return skin_scale(self.model.geometry)
 
     def loaded(self, depth_mm: float, x_mm: float, y_mm: float, noise_seed: int) -> U8:
@@ -77,7 +77,7 @@ class Set:
     def calibrate(
         self, references: list[U8] | None = None, presses: list[KnownPress] | None = None
     ) -> CalibrationResult:
-        """Calibrate on this set, or on one of which something was changed."""
+        """Calibrate on this set, with other references or presses if given."""
         taken = self.presses if presses is None else presses
         return calibrate(self.sensor, references or self.references, taken, networks=load_networks())
 
@@ -112,7 +112,7 @@ def shifted(image: U8, px: float) -> U8:
 
 
 def uneven(image: U8, part: float) -> U8:
-    """Darken one side: one LED of a ring has aged."""
+    """Darken one side, as if one LED of a ring had aged."""
     ramp = 1 - part * np.linspace(0, 1, image.shape[1], dtype=np.float32)[None, :]
     return np.asarray(np.rint(image * ramp), np.uint8)
 
@@ -156,7 +156,7 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
 
 
 def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
-    """What is wrong, what must be in the answer, and the answer."""
+    """The error, the text that the answer must contain, and the answer."""
     presses, references, scale = given.presses, given.references, given.scale
     press = presses[int(rng.integers(4, len(presses) - 2))]
     name = f"{press.name}:"
@@ -336,7 +336,7 @@ def report(measured: Sequence[Measured]) -> str:
 
 
 def main() -> None:
-    """Measure, print the tables."""
+    """Measure and print the tables."""
     parser = argparse.ArgumentParser(description="What `calibrate` detects, and its false alarms.")
     parser.add_argument("--sensors", type=int, default=30)
     parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")

@@ -1,12 +1,12 @@
-"""Measure the clock's synchronisation against the truth, on simulated lines and in simulated time.
+"""Measure clock synchronisation against the truth, on simulated lines and in simulated time.
 
 ::
 
     .venv/bin/python -m tools.studies.clock_sync [--minutes 20] [--seeds 5] [--period 1] [--drift-ppm 40]
 
-A robot whose clock is off, slow or fast, and warms up sends SYNC; ten times a second the daemon's idea of the robot's
-time is compared with the truth. The first 10 s are told apart: the line is fitted to few exchanges then. With
-``--one-way`` the robot sends 100 poses a second and no SYNC.
+A robot with an offset and drifting clock that warms up sends SYNC; ten times a second the study compares the daemon's
+estimate of the robot's time with the truth. It reports the first 10 s separately: the line is fitted to few exchanges
+then. With ``--one-way`` the robot sends 100 poses a second and no SYNC.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ WARM_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Of one run: signed error and the stated one, both in ms, and whether it was after the first seconds."""
+    """One run's signed and stated errors, both in ms, and whether each came after the first seconds."""
 
     rows: list[tuple[float, float, bool]]
 
     def rms_ms(self, warm: bool) -> float:
-        """Root of the mean square."""
+        """Root mean square error in ms."""
         picked = [error for error, _, late in self.rows if late is warm]
         return math.sqrt(sum(e * e for e in picked) / len(picked))
 
     def covered(self) -> float:
-        """Part of all errors, the first ones too, that is within the stated one."""
+        """Share of all errors, the first ones included, within the stated error."""
         return sum(abs(error) <= stated for error, stated, _ in self.rows) / len(self.rows)
 
     def stated_ms(self) -> float:
-        """Mean of the stated errors."""
+        """Mean of the stated errors in ms."""
         return sum(stated for _, stated, _ in self.rows) / len(self.rows)
 
 
 def two_way(line: LineModel, clock: Clock, seconds: float, period_s: float, rng: random.Random) -> Errors:
-    """A robot that sends SYNC."""
+    """Errors with a robot that sends SYNC."""
     sync, rows = ClockSync(), []
     t4_ns: int | None = None
     base_s = 1000.0  # the daemon has been up for a while
@@ -69,7 +69,7 @@ def two_way(line: LineModel, clock: Clock, seconds: float, period_s: float, rng:
 
 
 def one_way(line: LineModel, clock: Clock, seconds: float, rng: random.Random) -> Errors:
-    """A robot that sends poses only, a hundred a second."""
+    """Errors with a robot that sends only poses, a hundred a second."""
     sync, rows = ClockSync(), []
     arrived_s = 0.0
     for step in range(round(100 * seconds)):
@@ -83,7 +83,7 @@ def one_way(line: LineModel, clock: Clock, seconds: float, rng: random.Random) -
 
 
 def run(name: str, seed: int, seconds: float, period_s: float, drift_ppm: float, one_sided: bool) -> Errors:
-    """One robot on one line."""
+    """Errors of one robot on one line."""
     rng = random.Random(f"{name} {seed}")
     clock = Clock(rng.uniform(0, 1e6), rng.uniform(-drift_ppm, drift_ppm))
     if one_sided:

@@ -1,4 +1,4 @@
-"""What the programs of the studies share: options, and the files that they write."""
+"""The options and output files that the studies' programs share."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorNa
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 
 NETWORKS = tuple(name for name in PROFILES if name != "paper")
-"""Profiles that do not take a second for each frame."""
+"""The profiles that take far less than a second per frame."""
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
-    """Take profiles, sensors, a folder for the files, and a cluster.
+    """A parser for profiles, sensors, an output folder and a cluster.
 
     Parameters
     ----------
     what : str
         The study, for ``--help``.
     sensors : str
-        The sensors that are taken where none is named.
+        The default sensors.
     final : tuple of SensorName
-        The sensors that ``--final`` takes.
+        The sensors that ``--final`` selects.
     """
     parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=list(NETWORKS), metavar="NAME")
@@ -47,21 +47,21 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
-    """Take objects, and what each sensor is calibrated on."""
+    """Add options for the objects and each sensor's calibration."""
     parser.add_argument("--objects", type=study.objects, default=tuple(OBJECTS), metavar="NAME,...")
     parser.add_argument("--references", type=int, default=REFERENCES, metavar="N")
     parser.add_argument("--presses", type=int, default=PRESSES, metavar="N", help="0: none")
 
 
 def check_presses(parser: argparse.ArgumentParser, presses: int) -> None:
-    """Refuse fewer than a calibration needs."""
+    """Refuse fewer presses than a calibration needs."""
     if 0 < presses < MIN_PRESSES:
         parser.error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
 
 
 @contextlib.contextmanager
 def folder_for(parser: argparse.ArgumentParser, out: Path | None) -> Iterator[None]:
-    """Make the folder before minutes of work; a mistake of the user's is one line and exit code 1."""
+    """Make the folder before minutes of work; report a user's mistake in one line with exit code 1."""
     try:
         study.make_folder(out)
         yield
@@ -76,14 +76,14 @@ def publish(
     rows: Mapping[str, str],
     draw: Callable[[], Mapping[str, bytes]] = dict,
 ) -> None:
-    """Print the table; write it, its rows and its plots.
+    """Print the table; write the table, its rows and its plots.
 
     Parameters
     ----------
     rows : mapping
-        What follows `stem` in a CSV file's name, to its text.
+        Text of each CSV file by the part of its name after `stem`.
     draw : callable
-        Gives the plots by their files' names; is called where they are wanted and can be drawn.
+        Returns the plots by file name; called only if plots are wanted and can be drawn.
     """
     study.publish(args, stem, table, rows)
     if study.will_draw(args, "the plots"):

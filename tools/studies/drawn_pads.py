@@ -1,4 +1,4 @@
-"""Surfaces for a robot to press all over, drawn at random: what stitching is judged on beside the touchpad."""
+"""Random surfaces for a robot to press all over: with the touchpad, they are the test cases of stitching."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Relief:
     Attributes
     ----------
     width_mm, length_mm : float
-        From (0, 0) on.
+        Extent from (0, 0).
     waves : tuple of (float, float, float, float)
-        Of each wave: amplitude in mm, wave numbers along x and y in rad per mm, phase in rad.
+        Each wave's amplitude in mm, wave numbers along x and y in rad per mm, and phase in rad.
     """
 
     width_mm: float
@@ -35,18 +35,18 @@ class Relief:
 
     @property
     def top_mm(self) -> float:
-        """The z in mm of what stands highest."""
+        """The z of the highest point in mm."""
         axis = np.linspace(0, 1, 73)
         return float(self.height_mm(*np.meshgrid(axis * self.width_mm, axis * self.length_mm)).max())
 
     def height_mm(self, x: F64, y: F64) -> F64:
-        """The top's z in mm at points of the plane."""
+        """The surface's z in mm at points of the plane."""
         return np.asarray(sum(a * np.sin(kx * x + ky * y + phase) for a, kx, ky, phase in self.waves))
 
     def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
-        """What a sensor at a pose meets, as `Pad.under`."""
+        """The shape that a sensor at a pose meets, like `Pad.under`."""
         apex = np.array((0.0, 0.0, skin_radius_mm))
-        # A height over the surface is at most so many times the distance to it.
+        # A height over the surface is at most this many times the distance to it.
         steepest = math.hypot(1, sum(abs(a) * math.hypot(kx, ky) for a, kx, ky, _ in self.waves))
 
         def sdf(points: F64) -> F64:

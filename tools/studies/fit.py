@@ -6,9 +6,9 @@
     .venv/bin/python -m tools.studies.fit [--cases other:31,other:31/balls] [--folder FOLDER] [--threads 2]
 
 The presses are of balls of three sizes, flat ends of two, a square and a lying bar, or of the balls alone, 0.6 to
-4.5 mm deep; what is stated of them is off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each
-case is a process of its own. With a folder, what was measured of a case is kept in it and is not measured again while
-the program is the same.
+4.5 mm deep; the stated presses are off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each
+case runs in its own process. With a folder, the study keeps each case's results there and does not measure the case
+again until the program changes.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ CASES = "other:31,other:32,other:33,default,other:31/balls,other:32/balls,other:
 PRESSES = 40
 REFERENCES = 5
 PRESSED_MM = (0.6, 4.5)
-"""Least and greatest depth of the presses."""
+"""Least and greatest depth of the presses, mm."""
 PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
 BEYOND_MM = 6.0
-"""A third more than the deepest press."""
+"""Depth beyond the presses, mm: a third more than the deepest."""
 DRAG_MM, DRAGGED_MM = 2.0, 3.0
-"""How far, and how deep meanwhile."""
+"""Length of a drag, and depth during it, mm."""
 ROUNDS, STARTS = 40, 5
-"""Frames and starts of which the median is told."""
+"""Numbers of frames and starts behind a reported median."""
 CYLINDER_MM = 5.0
 """Radius of the simulator's cylinder."""
 
@@ -78,7 +78,7 @@ def lying(radius_mm: float, length_mm: float) -> Shape:
 
 
 def indenters(scale: float, balls: bool) -> list[tuple[Shape, float, float, Indenter | None]]:
-    """Of each its shape, what that is enlarged by, and its ball's radius or what the user states."""
+    """Each indenter's shape, scale, and the ball's radius in mm or the user's description."""
     made: list[tuple[Shape, float, float, Indenter | None]] = [
         (ball(radius * scale), 1.0, radius * scale, None) for radius in (3.0, 4.5, 7.0)
     ]
@@ -94,7 +94,7 @@ def indenters(scale: float, balls: bool) -> list[tuple[Shape, float, float, Inde
 
 
 def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
-    """What a user presses and states."""
+    """The presses with the values that a user states."""
     rng, model = np.random.default_rng((seed, 77)), sensor.model
     scale = skin_scale(model.geometry)
     kinds = indenters(scale, balls)
@@ -112,7 +112,7 @@ def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
 
 
 def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationResult:
-    """As a user calibrates, not fitted."""
+    """A user's calibration without a fit."""
     model = sensor.model
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]
@@ -121,7 +121,7 @@ def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationR
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A frame and a profile, as shipped or fitted; NaN where nothing was found or nothing is to be found."""
+    """A frame under a profile, as shipped or fitted; NaN if nothing was found or there was nothing to find."""
 
     profile: str
     what: str
@@ -135,7 +135,7 @@ class Judged:
 
 
 def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Scene]]:
-    """Table I's objects as deep as the presses, deeper, and dragged."""
+    """Table I's objects pressed as deep as the presses, deeper, and dragged."""
     made = []
     for thing in PAPER_OBJECTS:
         made += [("pressed", scene) for scene in scenes(sensor.model, seed, thing, DEPTHS_MM)]
@@ -147,7 +147,7 @@ def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Sc
 
 
 def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> list[Judged]:
-    """Every scene by every profile, with every calibration."""
+    """Judge every scene with every profile and calibration."""
     made = [(what, p, make_reconstructor(c, PROFILES[p])) for what, c in calibrations.items() for p in LADDER]
     rows = []
     for judged, scene in judged_scenes(sensor, name.seed):
@@ -168,7 +168,7 @@ def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Ca
 
 
 def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict[str, dict[str, float]]:
-    """Size of the file, start-up (file, weights, first frame) and a frame's time of the default profile, in turns."""
+    """File size, start-up (file, weights, first frame) and time per frame of the default profile, measured in turns."""
     press = Press(OBJECTS["ball"](), depth_mm=3.0)
     frame = Frame(0, 0, 0, sensor.frame((press,), 1).image)
     starts_s: dict[str, list[float]] = {what: [] for what in calibrations}
@@ -222,7 +222,7 @@ def measured(case: str, threads: int) -> dict[str, object]:
 
 
 def program() -> str:
-    """A hash of what is measured."""
+    """A hash of the measured program."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     package = Path(tacshade_edge.__file__).parent
     for room in ("core", "fitting", "simulator", "inference"):
@@ -233,7 +233,7 @@ def program() -> str:
 
 
 def of_case(case: str, threads: int, folder: Path | None) -> dict[str, Any]:
-    """What was measured of a case, or what is kept of it."""
+    """A case's results, measured now or kept."""
     kept = folder / f"{case.replace(':', '_').replace('/', '_')}.json" if folder else None
     if kept and kept.exists():
         found: dict[str, object] = json.loads(kept.read_text())
@@ -248,7 +248,7 @@ def of_case(case: str, threads: int, folder: Path | None) -> dict[str, Any]:
 
 
 def of_objects(rows: list[Judged], value: str) -> list[float]:
-    """Mean of each object."""
+    """Each object's mean."""
     each = [[getattr(row, value) for row in rows if row.object == thing] for thing in PAPER_OBJECTS]
     return [float(np.nanmean(values)) for values in each]
 
@@ -273,7 +273,7 @@ def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[li
 
 
 def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of drag: ME beside that of the same objects undragged, and how far off shear is."""
+    """Lines of the table of drag: ME next to that of the same objects undragged, and the error of shear."""
     lines = []
     for profile in LADDER:
         cells = []
@@ -289,7 +289,7 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
 
 
 def main() -> None:
-    """Fit and judge."""
+    """Fit and judge every case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", default=CASES, help="a sensor, or a sensor and /balls for presses of balls alone")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")

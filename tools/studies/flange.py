@@ -5,12 +5,12 @@
 
     .venv/bin/python -m tools.studies.flange [--trials 20] [--start 10 10] [--profile accurate] [--final] [--keep DIR]
 
-Each trial has a surface, a sensor that was calibrated on 40 ball presses, a true place on the flange, a delay, and a
-start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of stitching.md: it
-turns and goes where the plan says, then down until the sensor is so deep in the surface. Every fifth press has frames
-of the motion down and up. Every image is drawn and reconstructed. What the robot reports is off by Gaussian noise,
-once for each press. `--start 0.5 0.5` is for who goes through the plan once more, with what was found. --keep stores
-what was reconstructed; delete it after a change of anything but what finds the flange.
+Each trial has a surface, a sensor calibrated on 40 ball presses, a true place on the flange, a delay, and a start that
+is 10 mm and 10 degrees off. A robot that believes the start follows the plan of stitching.md: it turns and moves where
+the plan says, then down until the sensor is deep enough in the surface. Every fifth press has frames of the motion down
+and up. Every image is drawn and reconstructed. The reported poses have Gaussian noise, drawn once for each press.
+`--start 0.5 0.5` is for repeating the plan with the result. --keep stores the reconstructions; delete them after a
+change of anything except the code that finds the flange.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from tools.testbed.simulator.families import sensor_name
 
 SENSORS = ("default", "5", "11", "other:1", "two-scales:3")
 FINAL = ("9018", "9019", "9020", "other:9018", "two-scales:9018")
-"""Kept for final figures."""
+"""Sensors kept for final figures."""
 PADS = ("relief:1", "relief:2", "relief:3", "touchpad:0")
 NOISES = ((0.1, 0.1), (0.2, 0.2), (0.3, 0.3))
-"""Standard deviations of the reported poses: in every axis in mm, about a random axis through the apex in degrees."""
+"""Standard deviations of the reported poses: mm in every axis, degrees about a random axis through the apex."""
 START = (10.0, 10.0)
-"""How far off, in mm and in degrees."""
+"""Error of the believed start, in mm and degrees."""
 TRUE = shift(12, -7, 55) @ turn((0.3, -0.2, 1.1))
 WITHIN_MM, WITHIN_DEG, WITHIN_MS, WITHIN_SIGMAS = 0.5, 0.7, 5.0, 2.5
 _DEPTH_MM, _VARIED_MM = 2.0, 0.4
@@ -70,18 +70,18 @@ class Task:
 
     @property
     def sensor(self) -> str:
-        """Its name."""
+        """The sensor's name."""
         return self.sensors[self.trial % len(self.sensors)]
 
     @property
     def pad(self) -> str:
-        """KIND:SEED."""
+        """The surface as KIND:SEED."""
         return PADS[self.trial // len(self.sensors) % len(PADS)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taken:
-    """What was reconstructed: of each frame its thinned points, its true pose, its press, how far above that it was."""
+    """Reconstructed frames: each one's thinned points, true pose, press, and distance above that press."""
 
     points: list[F64]
     base_T_sensor: list[Rigid]
@@ -91,7 +91,7 @@ class Taken:
 
 
 def start_of(trial: int, off: tuple[float, float] = START) -> Rigid:
-    """What the robot believes: off by so many mm and degrees."""
+    """The pose that the robot believes, off by the given mm and degrees."""
     rng = np.random.default_rng((trial, 31))
     axis, way = rng.standard_normal(3), rng.standard_normal(3)
     rotation = turn(axis / np.linalg.norm(axis) * math.radians(off[1])).rotation @ TRUE.rotation
@@ -104,7 +104,7 @@ def _calibration(sensor: str) -> Calibration:
 
 
 def lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: float) -> Rigid:
-    """Along the base's z until the undeformed skin is so deep in the surface."""
+    """Lower a pose along the base's z until the undeformed skin is `depth_mm` deep in the surface."""
     dx, dy = np.meshgrid(*(np.linspace(-0.8, 0.8, 81) * radius_mm,) * 2)
     dome = np.sqrt(np.maximum(radius_mm**2 - dx**2 - dy**2, 0))
     inside = dome > 0.6 * radius_mm
@@ -114,7 +114,7 @@ def lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: floa
 
 
 def taken(task: Task) -> Taken:
-    """All frames in contact of the plan."""
+    """All frames of the plan in contact."""
     name = f"{task.trial}-{task.pad}-{task.sensor}-{task.profile}-{task.constant}-{task.start}.npz".replace(":", "_")
     kept = None if task.keep is None else task.keep / name
     if kept is not None and kept.exists():
@@ -159,7 +159,7 @@ def taken(task: Task) -> Taken:
 
 
 def frames_of(got: Taken, noise: tuple[float, float], delay_ms: float, seed: int) -> list[ContactFrame]:
-    """The frames with what a robot reports of each press, and stamps that are late."""
+    """The frames with the robot's reported poses and late time stamps."""
     rest = [shift(0, 0, -abs(above)) @ pose for pose, above in zip(got.base_T_sensor, got.above_mm, strict=True)]
     first = {press: k for k, press in reversed(list(enumerate(got.press)))}
     noisy = pads.disturbed([rest[first[press]] for press in sorted(first)], got.radius_mm, *noise, seed=seed)
@@ -176,14 +176,14 @@ def frames_of(got: Taken, noise: tuple[float, float], delay_ms: float, seed: int
 
 
 def errors(found: FoundFlange, delay_ms: float) -> F64:
-    """In the order and the units of `ORDER`."""
+    """Errors in the order and units of `ORDER`."""
     turned, _ = cv2.Rodrigues(found.flange_T_sensor.rotation @ TRUE.rotation.T)
     moved_mm = found.flange_T_sensor.translation_mm - TRUE.translation_mm
     return np.concatenate((moved_mm, np.degrees(turned.ravel()), (found.delay_ms - delay_ms,)))
 
 
 def row(noise: tuple[float, float], found: Sequence[tuple[F64, F64]]) -> tuple[str, ...]:
-    """A line of the table of errors and standard deviations of many trials."""
+    """A table line with the errors and standard deviations of many trials."""
     off, sigma = np.stack([e for e, _ in found]), np.stack([s for _, s in found])
     mm, deg, ms = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:6], axis=1), np.abs(off[:, 6])
     within = (np.abs(off) <= WITHIN_SIGMAS * sigma).mean()
@@ -194,7 +194,7 @@ def row(noise: tuple[float, float], found: Sequence[tuple[F64, F64]]) -> tuple[s
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--start", type=float, nargs=2, default=START, metavar=("MM", "DEG"), help="how far off it is")

@@ -1,4 +1,4 @@
-"""`stitch --find-flange` itself, on a recording in which a simulated robot goes through the plan, its clock another's.
+"""Run `stitch --find-flange` on a recording of a simulated robot that follows the plan with a clock of its own.
 
 ::
 
@@ -48,14 +48,14 @@ def write_recording(
     noise: tuple[float, float] = NOISE,
     seed: int = 0,
 ) -> None:
-    """Write the first presses of the plan, and ``cal.npz`` with the place that the robot believes.
+    """Write the plan's first presses, and ``cal.npz`` with the flange pose that the robot believes.
 
     Parameters
     ----------
     picture : callable
-        Takes what presses and a seed of the noise.
+        Takes the presses and a seed of the noise.
     noise : (float, float)
-        Of the reported poses, in mm and degrees.
+        Noise of the reported poses, in mm and degrees.
     """
     path.mkdir(parents=True)
     start, radius_mm = flange.start_of(seed), calibration.geometry.skin_radius_mm
@@ -83,7 +83,7 @@ def write_recording(
 
 
 def main() -> None:
-    """Record, run the command, compare."""
+    """Record, run the command and compare."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sensor", default="5")
     parser.add_argument("--profile", choices=PROFILES, default="accurate")

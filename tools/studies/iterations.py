@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""What the paper's 25 iterations buy: `paper` beside the same maps without them (α · g_hn).
+"""What the paper's 25 iterations gain: `paper` compared with the same maps without them (α · g_hn).
 
 ::
 
     .venv/bin/python -m tools.studies.iterations
 
-Three sensors, the paper's five objects near the middle at three depths. docs/results/iterations.md is what it prints.
+Three sensors, the paper's five objects near the middle at three depths. docs/results/iterations.md has the output.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def without_iterations(calibration: Calibration) -> Reconstructor:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     cv2.setNumThreads(1)
     rows: list[Row] = []
     taken: dict[str, list[float]] = {"paper": [], "paper_0": []}

@@ -38,9 +38,9 @@ from tacshade_edge.types import Calibration, Frame
 
 PROFILES = ("fast", "balanced", "accurate")
 SENSOR = Sensor(skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark")
-"""A TacTip as printed; its camera's distance is a guess, which ranks do not feel."""
+"""A TacTip as printed; its camera's distance is a guess that does not affect ranks."""
 REFERENCES_EACH = 2
-"""Of a folder, the first so many free frames are tried as references."""
+"""Number of free frames at a folder's start that are tried as references."""
 OTHER_LIGHT = "REF_lightson_pointingup"
 PLATES = "data/cr_tactip/surface_3d/val_data"
 PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, 4002 labels)"
@@ -54,7 +54,7 @@ class RealFrame:
     ----------
     path : Path
     free : bool or None
-        Nothing touched; None where nobody says.
+        Whether nothing touched; None if unknown.
     known : mapping of str to float
         Some of the columns of LABELS.csv.
     """
@@ -91,7 +91,7 @@ def plate_frames(clone: Path) -> list[RealFrame]:
 
 
 def binary_frames(clone: Path) -> list[RealFrame]:
-    """Every near-binary picture; nobody says which are free."""
+    """Every near-binary picture; which are free is unknown."""
     paths = sorted((clone / "dataset-image").glob("*/*/*.png"))
     return found([RealFrame(path, None, {}) for path in paths], clone, "dataset-image/*/*/*.png")
 
@@ -104,7 +104,7 @@ SETS: dict[str, Callable[[Path], list[RealFrame]]] = {
 
 
 def found(frames: list[RealFrame], clone: Path, expected: str) -> list[RealFrame]:
-    """The same; raises ConfigError where there is none."""
+    """Return `frames`. Raises ConfigError if there are none."""
     if not frames:
         raise ConfigError(f"{clone}: found no frame, expected a clone with {expected}")
     return frames
@@ -130,7 +130,7 @@ def labels_of(row: Mapping[str, str]) -> dict[str, float]:
 
 
 def thinned(frames: list[RealFrame], count: int) -> list[RealFrame]:
-    """At most so many, evenly."""
+    """At most `count` frames, evenly spread."""
     if len(frames) <= count:
         return frames
     return [frames[k * len(frames) // count] for k in range(count)]
@@ -170,7 +170,7 @@ def forced(paths: Sequence[Path]) -> Calibration:
 
 
 def counted(reasons: Iterable[str]) -> str:
-    """How often each, the most frequent first."""
+    """Each reason with its count, the most frequent first."""
     return ", ".join(f"{reason} {count}" for reason, count in Counter(reasons).most_common()) or "-"
 
 
@@ -208,7 +208,7 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
 
 
 def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
-    """Measure a set, print its tables."""
+    """Measure a set and print its tables."""
     candidates = reference_candidates(frames)
     tried = [calibrated_from(path) for path in candidates]
     accepted = [calibration for calibration, _ in tried if calibration is not None]
@@ -237,7 +237,7 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
 
 
 def main() -> int:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("set", choices=SETS)
     parser.add_argument("clone", type=Path)

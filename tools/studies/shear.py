@@ -36,11 +36,11 @@ from tools.testbed.simulator.families import sensor_name
 
 STEPS, DEPTH_MM, DRAGS_MM = 16, 3.0, (0.0, 1.0, 2.0, 3.0)
 BACKWARDS_PX = 0.5
-"""A tracked point that does not find back within this is dropped."""
+"""Greatest error of a point tracked forwards and back before it is dropped, px."""
 
 
 def xy_mm(geometry: Geometry, rows: F32, cols: F32, height_mm: F32) -> F32:
-    """Where the skin lies that pixels see, (..., 2)."""
+    """Positions (x, y) in mm of the skin that pixels see, (..., 2)."""
     u, v = cols - geometry.disc.col_c, rows - geometry.disc.row_c
     by = geometry.f_px or 1 / geometry.mm_per_px
     rays = DiscRays(np.ones(rows.shape, bool), (u / by).astype(np.float32), (v / by).astype(np.float32))
@@ -48,7 +48,7 @@ def xy_mm(geometry: Geometry, rows: F32, cols: F32, height_mm: F32) -> F32:
 
 
 def of_flow(geometry: Geometry, reference: U8, grey: U8, height_mm: F32, contact: Bool, begun: F32 | None) -> F32:
-    """Mean shear of a contact by dense flow from the frame back to the reference."""
+    """A contact's mean shear by dense flow from the frame back to the reference."""
     flags = 0 if begun is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     levels = 4 if begun is None else 1
     flow = cv2.calcOpticalFlowFarneback(grey, reference, begun, 0.5, levels, 31, 5, 7, 1.5, flags)
@@ -103,7 +103,7 @@ def of_points(geometry: Geometry, greys: list[U8], height_mm: F32, contact: Bool
 
 
 def errors(name: SensorName, count: int) -> list[tuple[float, list[float]]]:
-    """Of each press the drag, and how far off each way is, mm."""
+    """Each press's drag and the error of each method, mm."""
     sensor: PressedSensor = name.make()
     calibration = calibrated(name, 8, 40).calibration
     geometry, rows = calibration.geometry, []
@@ -139,7 +139,7 @@ def errors(name: SensorName, count: int) -> list[tuple[float, list[float]]]:
 
 
 def main() -> None:
-    """Compare."""
+    """Compare the methods and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensors", default="default,5,other:31")
     parser.add_argument("--presses", type=int, default=24, help="of each sensor")

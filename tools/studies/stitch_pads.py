@@ -6,10 +6,9 @@
     .venv/bin/python -m tools.studies.stitch_pads [--pads shapes:1 relief:1] [--sensors default other:1] [--keep DIR]
 
 Each sensor, calibrated on 40 ball presses, presses each surface (`drawn_pads.KINDS`, KIND:SEED) all over,
-at varied depths and tilts. Its maps are made with exact poses and with poses that are off by Gaussian noise of several
-sizes, once with refinement, once with the poses as reported, and by the paper's average. docs/results/stitching.md is
-what it prints. --keep stores what was reconstructed, so that the next run only stitches; delete it after a change of
-anything but stitching.
+at varied depths and tilts. Its maps use exact poses and poses with Gaussian noise of several sizes: with refinement,
+with the poses as reported, and by the paper's average. docs/results/stitching.md has the output. --keep stores the
+reconstructions, so that the next run only stitches; delete them after a change of anything except stitching.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from tools.testbed.simulator.families import sensor_name
 PADS = ("shapes:1", "shapes:2", "sparse:1", "relief:1", "relief:2")
 SENSORS = ("default", "5", "11", "other:1", "other:2", "two-scales:3")
 NOISES = ((0.0, 0.0), (0.1, 0.5), (0.3, 1.0), (0.5, 2.0))
-"""Standard deviations of the reported poses: in every axis in mm, about a random axis through the apex in degrees."""
+"""Standard deviations of the reported poses: mm in every axis, degrees about a random axis through the apex."""
 STEP_OF_SCAN_MM = 4.0
 DEPTH_MM = 2.7  # of the tip below the highest place, in the mean
 VARIED_MM, VARIED_DEG = 0.4, 6.0
@@ -72,7 +71,7 @@ class Line:
     refined_mm, reported_mm, average_mm : float
         With refinement, without, and of the paper's average; each over its own cells.
     shared_ratio : float
-        The first over the second, over the cells that both have.
+        `refined_mm` over `reported_mm`, both over the cells that the two maps share.
     left_out : int
         Presses that fitted nowhere.
     """
@@ -164,12 +163,12 @@ def lines_of(task: Task) -> list[Line]:
 
 
 def rms(values: F32) -> float:
-    """Root of the mean square of what is known."""
+    """Root mean square of the known values."""
     return float(np.sqrt(np.nanmean(np.square(values, dtype=np.float64))))
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pads", nargs="+", default=PADS, metavar="KIND:SEED")
     parser.add_argument("--sensors", nargs="+", default=SENSORS, metavar="NAME")
@@ -202,7 +201,7 @@ def main() -> None:
 
 
 def told_noise(noise: tuple[float, float]) -> str:
-    """For a table."""
+    """The noise as text for a table."""
     return f"{noise[0]:g} mm, {noise[1]:g}°" if noise[0] else "none"
 
 

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""The touch model on a robot's labelled frames: errors by number of labels, beside published networks.
+"""The touch model on a robot's labelled frames: errors by number of labels, compared with published networks.
 
 ::
 
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
     .venv/bin/python -m tools.studies.touch out/real/tactile_data_shear
 
-Of that set `cr_tactip` alone. It has no licence: it stays outside the tree. Every frame counts: where there is no
-answer the labels' mean is the guess. `random` draws the labels from all frames, and judges the others; `grouped` learns
-from one run of the robot (train_data) and judges another (val_data).
+The study uses only `cr_tactip` of that set, which has no licence and stays outside the tree. Every frame counts: if
+the model has no answer, the labels' mean is the guess. `random` draws the labels from all frames and judges the others;
+`grouped` learns from one run of the robot (train_data) and judges another (val_data).
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def seen(clone: Path, profile: str) -> Frames:
 
 
 def reconstructor(calibration: Calibration, profile: str, touch: TouchModel | list[F32]) -> Reconstructor:
-    """With a touch model, or what takes features."""
+    """A reconstructor with a touch model, or with a list that collects features."""
     chosen = PROFILES[profile]
     assert chosen.network is not None
     return Reconstructor(calibration, chosen, load_network(chosen.network), touch=touch)
@@ -107,7 +107,7 @@ class Score:
 
 
 def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
-    """Learn from `count` frames, judge `JUDGED` others."""
+    """Learn from `count` frames and judge `JUDGED` others."""
     random = np.random.default_rng(seed)
     if split == "random":
         order = random.permutation(len(frames.labels))

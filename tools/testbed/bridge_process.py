@@ -1,4 +1,4 @@
-"""A bridge as its users run it, and what it costs."""
+"""A bridge as its users run it, with its memory and its time to stop."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tools.testbed.patience import patience
 
 
 class BridgeProcess:
-    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port; it has ended when it is left.
+    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port; it ends with its ``with`` block.
 
     Attributes
     ----------
     url : str
-        As it prints it.
+        The address that it prints.
     """
 
     def __init__(self, kind: str, broker_port: int, log: Path, *words: str) -> None:
@@ -45,7 +45,7 @@ class BridgeProcess:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port that it listens on."""
         found = re.search(r":(\d+)", self.url)
         assert found
         return int(found[1])
@@ -54,20 +54,20 @@ class BridgeProcess:
         return self._log.read_text(errors="replace")
 
     def page(self) -> str:
-        """What Prometheus gets; raises OSError for what is no answer."""
+        """The page that Prometheus gets. Raises OSError if there is no answer."""
         with urllib.request.urlopen(self.url, timeout=patience(10)) as answer:
             text: str = answer.read().decode()
             return text
 
     def peak_mb(self) -> float:
-        """The most memory that it has had."""
+        """Its peak memory in MB."""
         return self._status("VmHWM") / 1024
 
     def threads(self) -> int:
         return self._status("Threads")
 
     def stopped_s(self) -> float:
-        """SIGTERM: how long it takes."""
+        """Send SIGTERM; return the seconds until it ends."""
         began_s = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         code = self.process.wait(patience(30))

@@ -31,7 +31,7 @@ _FLAGS = (
 
 @contextmanager
 def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100)) -> Iterator[webdriver.Chrome]:
-    """A browser that has never been anywhere; `profile` is an empty folder for what it writes."""
+    """A browser without history; `profile` is an empty folder for its files."""
     assert CHROMIUM is not None
     assert DRIVER is not None
     options = webdriver.ChromeOptions()
@@ -47,13 +47,13 @@ def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100))
 
 
 def errors(driver: webdriver.Chrome) -> list[str]:
-    """What the page complained about since the last call: errors and warnings, also of the security policy."""
+    """The page's errors and warnings since the last call, including those of the security policy."""
     told = [f"{e['level']} {e['message']}" for e in driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")]
     return [line for line in told if "GL Driver Message" not in line]  # a screenshot reads the software renderer back
 
 
 def errors_of_the_page(driver: webdriver.Chrome) -> list[str]:
-    """`errors` but for the browser's own: it complains of each attempt to reach a server that has ended."""
+    """`errors` except the browser's own: it complains of each attempt to reach a server that has ended."""
     own = (
         "WebSocket is already in CLOSING or CLOSED state",
         "/favicon.svg - Failed to load resource",

@@ -1,4 +1,4 @@
-"""A smooth surface, and what exact presses of it would touch: for tests of stitching without images."""
+"""A smooth surface and the points that exact presses touch: for tests of stitching without images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def height_mm(x: F64, y: F64) -> F64:
 
 
 def grid_poses(side_mm: float = 30.0, step_mm: float = 5.0) -> list[Rigid]:
-    """Straight down, the apex on the surface's mean."""
+    """Poses straight down, with the apex on the surface's mean height."""
     places = np.arange(0, side_mm + 1e-9, step_mm).tolist()
     return [shift(x, y, APEX_MM) @ DOWN for y in places for x in places]
 

@@ -1,4 +1,4 @@
-"""Simulated sensors and what was calibrated on them, made once per test session."""
+"""Simulated sensors and their calibrations, made once per test session."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TACTIP = tactip(HALF)
 
 
 def sensor_of(model: SensorModel) -> Sensor:
-    """What a person would state of a simulated sensor."""
+    """The settings that a person would state for a simulated sensor."""
     return Sensor(
         skin_radius_mm=model.skin_radius_mm,
         camera_distance_mm=model.camera_distance_mm,
@@ -71,7 +71,7 @@ def presses(model: SensorModel = HALF, count: int = 20) -> tuple[KnownPress, ...
 
 @cache
 def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
-    """From 5 references and `count` ball presses; 0: references alone."""
+    """A calibration from 5 references and `count` ball presses; 0: references alone."""
 
     def made() -> Calibration:
         table = presses(model, count) if count else ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
-    """Write ``cert.pem`` and ``key.pem``, as docs/how-to/opening.md says; their paths."""
+    """Write ``cert.pem`` and ``key.pem`` as in docs/how-to/opening.md; return their paths."""
     cert, key = folder / "cert.pem", folder / "key.pem"
     options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
     names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(cert)]

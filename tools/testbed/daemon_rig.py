@@ -1,4 +1,4 @@
-"""What the benches of the daemon share: a broker, a camera that costs nothing, the images that it shows."""
+"""What the daemon's benches share: a broker, a camera that costs nothing, and its images."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "Vm
 def broker(
     folder: Path, general: str = "persistence false\nset_tcp_nodelay true\n", listener: str = ""
 ) -> Iterator[int]:
-    """A mosquitto on a free loopback port, with settings of its own and of its listener.
+    """A mosquitto on a free loopback port, with general settings and settings of its listener.
 
-    Small messages go out at once, as with ``systemd/mosquitto-tacshade.conf``: else each waits for the subscriber's
-    acknowledgement of the one before, up to 40 ms.
+    Small messages go out at once, as with ``systemd/mosquitto-tacshade.conf``: otherwise each waits up to 40 ms for the
+    subscriber's acknowledgement of the previous one.
     """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -56,7 +56,7 @@ def broker(
 
 
 class RingSource:
-    """A `FrameSource` of images in memory, one after the other for ever; late ones are dropped, as a camera's are.
+    """A `FrameSource` that cycles through images in memory; it drops late ones, as a camera does.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class RingSource:
     """
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._images: U8 = np.asarray(np.load(path, mmap_mode="r"))  # its pages are told from the daemon's own
+        self._images: U8 = np.asarray(np.load(path, mmap_mode="r"))  # mapped: its pages are counted separately
         self._period_ns = round(1e9 / fps)
         self._zero_ns = self._next_seq = 0
         self.dropped = 0
@@ -76,7 +76,7 @@ class RingSource:
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
-        """Wait until the next frame is due; that time is its time stamp."""
+        """Wait until the next frame is due; its time stamp is that time."""
         seq, t_ns = self._wait()
         wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
         return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)])
@@ -99,12 +99,12 @@ class RingSource:
         """Nothing to release."""
 
     def describe(self) -> dict[str, str | int | float]:
-        """What it shows."""
+        """Describe the source."""
         return {"device": "ring", "images": len(self._images)}
 
 
 def draw_rings(folder: Path) -> None:
-    """Write the images of a ball that goes in and out, half way in at first, and of nothing.
+    """Write the images of a ball that goes in and out, halfway in at first, and of the untouched skin.
 
     ``contact.npy`` and ``free.npy`` have one channel, as a camera's frames have; ``colour.npy`` is the first as drawn.
     """
@@ -124,7 +124,7 @@ def draw_rings(folder: Path) -> None:
 
 
 def memory_mb(pid: int) -> dict[str, float]:
-    """`FIELDS` of a process, in MiB, without the images of a `RingSource`: a camera's take none."""
+    """`FIELDS` of a process in MiB, without the images of a `RingSource`: a camera's images take no memory."""
     status = Path(f"/proc/{pid}/status").read_text()
     found = {name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE) for name, key in FIELDS.items()}
     images_mb = _mapped_mb(pid, "Rss", images=True)
@@ -133,12 +133,12 @@ def memory_mb(pid: int) -> dict[str, float]:
 
 
 def pss_mb(pid: int) -> float:
-    """Proportional set size of a process, without the images of a `RingSource`."""
+    """Proportional set size of a process in MiB, without the images of a `RingSource`."""
     return _mapped_mb(pid, "Pss", images=False)
 
 
 def _mapped_mb(pid: int, field: str, images: bool) -> float:
-    """What mappings of images, or all others, have of a field of /proc/PID/smaps."""
+    """Sum in MiB of a field of /proc/PID/smaps over the mappings of images, or over all others."""
     found, ours = 0, False
     for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
         name, _, rest = line.partition(":")
@@ -150,6 +150,6 @@ def _mapped_mb(pid: int, field: str, images: bool) -> float:
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time that a process has used in all its threads."""
+    """Processor time in s that a process has used in all its threads."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

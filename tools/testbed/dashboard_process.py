@@ -1,4 +1,4 @@
-"""The dashboard as its users run it: a child process that tells its address and has to stop cleanly."""
+"""The dashboard as its users run it: a child process that prints its address and must stop cleanly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tools.testbed.patience import patience
 
 @contextmanager
 def dashboard(broker: str, *words: str) -> Iterator[str]:
-    """Run it on a free port for a broker at HOST:PORT; the page's address."""
+    """Run it on a free port for a broker at HOST:PORT; yield the page's address."""
     command = [sys.executable, "-m", "tacshade_edge", "dashboard", "--broker", broker, "--http", "0", *words]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

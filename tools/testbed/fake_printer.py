@@ -1,8 +1,7 @@
-"""A 3-D printer on a pty that answers as Marlin. Its head presses the simulated sensor through a file.
+"""A 3-D printer on a pty that answers like Marlin. Its head presses the simulated sensor through a file.
 
-It has the faults of real ones: answers that come byte by byte with temperatures between, a board that restarts when it
-is first spoken to, lines that arrive damaged, answers that are lost, steps that are lost, a halt, another program's
-limits.
+It has the faults of real printers: answers that arrive byte by byte with temperatures in between, a board that restarts
+at the first command, damaged lines, lost answers, lost steps, a halt, another program's limits.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _BOOT_S = 0.3
 
 @dataclass
 class Mounted:
-    """What is in the head: a row of the file, and how much lower than the first indenter it ends."""
+    """The mounted indenter: its row of the file, and how much lower than the first indenter it ends."""
 
     indenter: str = "ball"
     radius_mm: str = "6"
@@ -38,7 +37,7 @@ class Mounted:
 
 @dataclass
 class Sensor:
-    """Where the simulated sensor truly stands."""
+    """The true place of the simulated sensor."""
 
     x_mm: float = 101.7
     y_mm: float = 98.9
@@ -49,18 +48,18 @@ class Sensor:
 
 @dataclass
 class Faults:
-    """What goes wrong, and when: each once, by the number of commands that came, or below a height of the head.
+    """Faults, each of which happens once: at a number of received commands, or below a height of the head.
 
     Attributes
     ----------
     damaged_line : int
-        This line arrives with a bit turned.
+        Number of the line that arrives with a flipped bit.
     lost_answer, error, restart : int
-        This command's answer is lost; it is an error; the printer restarts instead of it.
+        Number of the command whose answer is lost; that fails; that the printer answers by restarting.
     halts_below_mm, loses_steps_below_mm : float
-        There it halts; there the head goes on 2 mm less than it says.
+        Heights below which the printer halts; below which the head moves 2 mm less than it reports.
     highest_mm : float
-        It goes no higher, and does not say so.
+        Height above which the head does not move, without a report.
     """
 
     damaged_line: int = 0
@@ -79,13 +78,13 @@ class FakePrinter:
     Attributes
     ----------
     hand : Path
-        The file that the simulated sensor is pressed by; replaced whenever the head has moved.
+        The file that presses the simulated sensor; replaced whenever the head has moved.
     pace : float
         Seconds that each second of motion takes.
     port : str
-        Of the host.
+        The host's port.
     moves : list of (x, y, z)
-        Every place that the head was at, mm.
+        Every place of the head so far, mm.
     """
 
     hand: Path
@@ -123,7 +122,7 @@ class FakePrinter:
             os.close(self._master)
 
     def pull_the_cable(self) -> None:
-        """The host's end fails from now on."""
+        """Make the host's end fail from now on."""
         os.close(self._slave)
         os.close(self._master)
 
@@ -133,11 +132,11 @@ class FakePrinter:
         self.press()
 
     def wait_until_below(self, z_mm: float) -> None:
-        """Until the head was sent lower, after it was homed and at its start."""
+        """Wait until a command sends the head lower, after it was homed and at its start."""
         wait_until(lambda: self._is_homed and len(self.moves) > 40 and self.moves[-1][2] < z_mm, 60, f"z under {z_mm}")
 
     def press(self) -> None:
-        """Write what presses the sensor at the head's true place."""
+        """Write the press of the sensor at the head's true place."""
         x, y, z = self._place
         if z < self.faults.loses_steps_below_mm:
             z += 2.0
@@ -250,6 +249,6 @@ class FakePrinter:
         self._ending.wait(self.pace * seconds)
 
     def _say(self, *lines: str) -> None:
-        """Byte by byte, as a slow line brings them."""
+        """Send lines byte by byte, as a slow line delivers them."""
         for byte in "".join(f"{line}\n" for line in lines).encode():
             os.write(self._master, bytes([byte]))

@@ -1,4 +1,4 @@
-"""Calibrations with weights of their own, without training any."""
+"""Calibrations with their own weights, without training."""
 
 from __future__ import annotations
 

@@ -39,12 +39,12 @@ def plan(x_mm: float, y_mm: float, skin_radius_mm: float, turns_deg: Turns = TUR
 
 
 def height_mm(t_s: float) -> float:
-    """How far above its press the robot is at a time; 0 is the middle of the pause."""
+    """Height in mm of the robot above its press at a time; 0 is the middle of the pause."""
     return min(LIFT_MM, max(0.0, abs(t_s) - PAUSE_S / 2) * SPEED_MM_S)
 
 
 def time_s(above_mm: float) -> float:
-    """When it is so far above, going down (negative) or up."""
+    """Time in s at which it is this far above, going down (negative) or up."""
     return math.copysign(PAUSE_S / 2 + abs(above_mm) / SPEED_MM_S, above_mm) if above_mm else 0.0
 
 
@@ -61,7 +61,7 @@ def exact_frames(
 ) -> list[ContactFrame]:
     """The plan on the bumpy surface: exact points, poses that are off by 0.1 mm and 0.1 degrees in every axis.
 
-    Where `moving`, every fifth press has a frame on the way down and one on the way up.
+    If `moving`, every fifth press has a frame on the way down and one on the way up.
     """
     true = plan(15, 15, APEX_MM, turns_deg)
     frames = []

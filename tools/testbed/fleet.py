@@ -20,7 +20,7 @@ USER, WORD = "dashboard", "seen"
 
 
 class ConfiguredBroker(Broker):
-    """A mosquitto of a complete configuration, one of whose listeners is `port`."""
+    """A mosquitto with a complete configuration; `port` is one of its listeners."""
 
     def __init__(self, config: Path, port: int, text: str) -> None:
         self.port = port
@@ -30,7 +30,7 @@ class ConfiguredBroker(Broker):
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """The id of its process."""
         assert self._process is not None
         return self._process.pid
 
@@ -63,7 +63,7 @@ def central(folder: Path) -> ConfiguredBroker:
 
 
 def people_port(folder: Path) -> int:
-    """Where the central broker of a folder asks for a password."""
+    """The port on which a folder's central broker requires a password."""
     return int(re.findall(r"^listener (\d+)", (folder / "central.conf").read_text(), re.MULTILINE)[1])
 
 
@@ -83,14 +83,14 @@ class CentralClient:
     Parameters
     ----------
     folder : Path
-        Of the certificates.
+        Folder of the certificates.
     port : int
     hear : callable
-        Gets each message.
+        Receives each message.
     name : str or None
-        Of a board.
+        Name of a board; None for `USER`.
     topics : tuple of str
-        Subscribed to, at QoS 1.
+        Topics to subscribe to at QoS 1.
     """
 
     def __init__(

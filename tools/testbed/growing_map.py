@@ -1,4 +1,4 @@
-"""Revisions of a map as a stitching session makes them, of presses on the simulated pad without reconstruction."""
+"""Revisions of a map as a stitching session makes them, from presses on the simulated pad without reconstruction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class GrowingMap:
         self.presses = self.revision = 0
 
     def press(self, *places_mm: tuple[float, float]) -> None:
-        """Press at places of the pad, and tell of the map once."""
+        """Press at places of the pad, then publish the map once."""
         for x_mm, y_mm in places_mm:
             near = np.arange(-RADIUS_MM, RADIUS_MM, 0.125)
             x, y = (grid.ravel() for grid in np.meshgrid(near, near))
@@ -46,7 +46,7 @@ class GrowingMap:
         self._tell(self.presses, "")
 
     def end(self, folder: str, rejected: int = 0) -> None:
-        """Tell of the final map."""
+        """Publish the final map."""
         self._tell(self.presses - rejected, folder)
 
     def _tell(self, used: int, folder: str) -> None:

@@ -11,30 +11,30 @@ _HEAD = struct.Struct("<BQ")
 
 
 def record(kind: int, body: bytes) -> bytes:
-    """Head and body."""
+    """A record: head and body."""
     return _HEAD.pack(kind, len(body)) + body
 
 
 def text(value: str) -> bytes:
-    """As in a record."""
+    """A string as records encode it."""
     data = value.encode()
     return struct.pack("<I", len(data)) + data
 
 
 def message(payload: bytes, t_ns: int, channel: int = 1) -> bytes:
-    """A message of that time."""
+    """A message with this time."""
     return record(MESSAGE, struct.pack("<HIQQ", channel, 0, t_ns, t_ns) + payload)
 
 
 def described(schema: str = "foxglove.CompressedImage", topic: str = "/cam") -> bytes:
-    """The schema and the channel of number 1."""
+    """The schema and the channel with number 1."""
     return record(SCHEMA, struct.pack("<H", 1) + text(schema) + text("protobuf") + bytes(4)) + record(
         CHANNEL, struct.pack("<HH", 1, 1) + text(topic) + text("protobuf") + bytes(4)
     )
 
 
 def chunk(packed: bytes, compression: str, size: int, crc: int = 0) -> bytes:
-    """A chunk that says of itself what is given."""
+    """A chunk that declares the given compression, size and CRC."""
     return record(
         CHUNK, struct.pack("<QQQI", 0, 1, size, crc) + text(compression) + struct.pack("<Q", len(packed)) + packed
     )
@@ -49,7 +49,7 @@ def file_of(data: bytes, summary: bytes = b"") -> bytes:
 
 
 def record_starts(content: bytes) -> list[int]:
-    """Where the records outside chunks begin."""
+    """Offsets of the records outside chunks."""
     starts, at = [], len(MAGIC)
     while at < len(content) - len(MAGIC):
         starts.append(at)
@@ -58,7 +58,7 @@ def record_starts(content: bytes) -> list[int]:
 
 
 def flipped(content: bytes, byte: int, bit: int) -> bytes:
-    """With one other bit."""
+    """The content with one bit flipped."""
     changed = bytearray(content)
     changed[byte] ^= 1 << bit
     return bytes(changed)

@@ -1,4 +1,4 @@
-"""A real mosquitto on a free loopback port, and a subscriber to look with."""
+"""A real mosquitto on a free loopback port, and a subscriber that records messages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def free_port() -> int:
 
 
 class Broker:
-    """mosquitto with a configuration of its own; starts on request and always on the same port."""
+    """A mosquitto with its own configuration; starts on request and always on the same port."""
 
     def __init__(
         self, folder: Path, *, users: dict[str, str] | None = None, tls: bool = False, more: tuple[str, ...] = ()
@@ -75,7 +75,7 @@ class Broker:
         self._process = None
 
     def stall(self) -> None:
-        """The kernel goes on accepting connections and bytes, mosquitto does nothing."""
+        """Suspend mosquitto: the kernel still accepts connections and bytes, but mosquitto does nothing."""
         self._signal(signal.SIGSTOP)
 
     def resume(self) -> None:
@@ -102,7 +102,7 @@ class Broker:
 
 
 class Subscriber:
-    """A subscriber, MQTT 3.1.1 unless told; it keeps every message in order and reconnects by itself."""
+    """A subscriber, by default with MQTT 3.1.1; it keeps every message in order and reconnects by itself."""
 
     def __init__(self, port: int, topics: str = "#", *, v5: bool = False) -> None:
         self.messages: list[MQTTMessage] = []
@@ -140,7 +140,7 @@ class Subscriber:
         return self.of(topic)
 
     def wait_for_last(self, topic: str, payload: bytes, timeout_s: float = 5) -> None:
-        """Until the latest of a topic is this."""
+        """Wait until a topic's latest payload is this one."""
         try:
             wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")
         except AssertionError as error:

@@ -1,4 +1,4 @@
-"""A subscriber that comes the way a browser does: MQTT over WebSocket, through the dashboard's port."""
+"""A subscriber that connects as a browser does: MQTT over WebSocket, through the dashboard's port."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PageClient:
         self.client.on_message = lambda _client, _data, message: self.messages.append(message)
 
     def heights(self) -> list[HeightMessage]:
-        """Every height map so far."""
+        """Every height map received so far."""
         decoded = [wire.decode(bytes(m.payload)) for m in list(self.messages) if m.topic.endswith("/height")]
         return [message for message in decoded if isinstance(message, HeightMessage)]
 

@@ -1,4 +1,4 @@
-"""A small painted sensor, an image a millisecond, for tests of what surrounds the core."""
+"""A small painted sensor that takes a millisecond per image, for tests of the code around the core."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH
 
 
 def touched_depth_mm() -> float:
-    """What the core makes of `TOUCHED` with the default profile: a subscriber must find the same."""
+    """The core's depth in mm for `TOUCHED` with the default profile: a subscriber must find the same."""
     result = make_reconstructor(painted_calibration(), PROFILES[DEFAULT]).step(Frame(0, 0, 0, TOUCHED))
     assert result.contact
     return float(np.nanmax(result.height.height_mm))
@@ -69,7 +69,7 @@ def enlarged(image: U8) -> U8:
 
 
 def enlarged_calibration() -> Calibration:
-    """Of the painted sensor, enlarged."""
+    """A calibration of the enlarged painted sensor."""
     small = painted_calibration()
     disc = small.geometry.disc
     middle = (SCALE - 1) / 2

@@ -30,7 +30,7 @@ def _unit() -> int:
 
 
 def slowness() -> float:
-    """How many times as long as there things take here and now, other processes and quotas included; at least 1."""
+    """The factor on run times here and now against that machine, other processes and quotas included; at least 1."""
     began_s = time.perf_counter()
     units = 0
     while (took_s := time.perf_counter() - began_s) < LOOK_S:
@@ -40,7 +40,7 @@ def slowness() -> float:
 
 
 def slowness_of_all_cores() -> float:
-    """`slowness` while every core is at work: a quota for all of them shows only so."""
+    """`slowness` while every core is busy: only this reveals a quota for all of them."""
     command = [sys.executable, "-m", "tools.testbed.patience", "--slowness"]
     looks = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(os.cpu_count() or 1)]
     return sum(float(look.communicate()[0]) for look in looks) / len(looks)
@@ -52,12 +52,12 @@ def _first_slowness() -> float:
 
 
 def stretched(seconds: float) -> float:
-    """A promise of so many seconds, on this machine as it is now."""
+    """A promised time in seconds, scaled to this machine as it is now."""
     return seconds * max(slowness(), _first_slowness())
 
 
 def patience(seconds: float) -> float:
-    """A limit of so many seconds, for what ends a test that hangs."""
+    """A limit in seconds that ends a test that hangs."""
     return MARGIN * seconds * _first_slowness()
 
 
@@ -81,7 +81,7 @@ def wait_until(
 
 
 def promised(condition: Callable[[], object], seconds: float, what: str) -> None:
-    """`wait_until` for what is promised within so many seconds."""
+    """`wait_until` for a condition that is promised within `seconds`."""
     wait_until(condition, seconds, what, margin=1.0)
 
 

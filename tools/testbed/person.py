@@ -16,7 +16,7 @@ from tools.testbed.patience import patience
 
 
 class Person:
-    """Types into a command on a pty, and reads what it says."""
+    """Types into a command on a pty and reads its output."""
 
     def __init__(self, words: list[str], python: str, folder: Path | None) -> None:
         self._leader, follower = pty.openpty()
@@ -28,7 +28,7 @@ class Person:
         self.heard = self.before = ""
 
     def hears(self, *texts: str) -> str:
-        """Wait for one of the texts that was not waited for yet; which it was."""
+        """Wait for one of the texts in the output since the last wait; return the one that came."""
         end_s = time.monotonic() + patience(60)
         while not (found := [text for text in texts if text in self.heard]):
             assert time.monotonic() < end_s, f"did not say {' or '.join(texts)!r} but {self.heard!r}"
@@ -46,7 +46,7 @@ class Person:
         os.write(self._leader, key.encode())
 
     def ends(self) -> int:
-        """Wait for its end; its exit code."""
+        """Wait until the command ends; return its exit code."""
         while data := self._read():
             self.heard += data
         return self.process.wait(patience(20))
@@ -59,7 +59,7 @@ class Person:
     def _read(self) -> str:
         try:
             return os.read(self._leader, 65536).decode()
-        except OSError:  # the follower's last end was closed
+        except OSError:  # the follower's last descriptor was closed
             return ""
 
 

@@ -1,4 +1,4 @@
-"""Other processes: whether they are there, and their suspension."""
+"""Check whether other processes run, and suspend them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tools.testbed.patience import wait_until
 
 
 def is_there(pid: int) -> bool:
-    """Whether a process has not ended."""
+    """Whether a process still exists."""
     try:
         return _state(Path(f"/proc/{pid}/stat")) != "Z"
     except FileNotFoundError:
@@ -18,7 +18,7 @@ def is_there(pid: int) -> bool:
 
 
 def suspend(pid: int) -> None:
-    """SIGSTOP, until each thread stands.
+    """Send SIGSTOP and wait until every thread has stopped.
 
     The kernel wakes a stopped group that a dying process leaves behind, but only one whose stop is complete: a busy
     thread may take its part in it after the kernel has looked.

@@ -8,7 +8,7 @@ from tacshade_edge.protocol import json_payload
 
 
 def health() -> bytes:
-    """Of three frames, one of which was invalid."""
+    """A `health` after three frames, one of them invalid."""
     ledger, timings = FrameLedger(), Timings()
     for seq in range(3):
         ledger.captured(seq)

@@ -1,4 +1,4 @@
-"""A sensor without a daemon: what one publishes, of any size and at any pace, from shapes that the caller draws."""
+"""A sensor without a daemon: publishes the daemon's messages, of any size and at any rate, from the caller's shapes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CRC = 0x1234ABCD
 
 
 def calibration() -> Calibration:
-    """Of a 640x480 camera; only what `info` tells of it is of use."""
+    """A calibration for a 640x480 camera; only the part that `info` reports is of use."""
     image = np.zeros((ROWS, COLS), np.uint8)
     geometry = Geometry(20.0, 30.0, 55.0, DISC)
     return Calibration(
@@ -72,13 +72,13 @@ def dragged(result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.
 
 
 def uncertain(result: Reconstruction, sigma_mm: float) -> Reconstruction:
-    """The same, with one standard deviation for all of the contact."""
+    """The same result with one standard deviation for the whole contact."""
     sigma = np.where(result.height.contact, np.float32(sigma_mm), np.float32(np.nan)).astype(np.float32)
     return replace(result, sigma_mm=sigma)
 
 
 class PublishedSensor:
-    """Its retained topics are told when it is entered, its results when asked."""
+    """Publishes its retained topics when it is entered, and its results on request."""
 
     def __init__(
         self, port: int, sensor_id: str = "drawn", username: str | None = None, password: str | None = None
@@ -113,7 +113,7 @@ class PublishedSensor:
         hand_id: str | None = None,
         hand_T_sensor: tuple[float, ...] | None = None,
     ) -> None:
-        """The retained `info`."""
+        """Publish the retained `info`."""
         info = messages.encode_info(
             version="0",
             config_digest="0",

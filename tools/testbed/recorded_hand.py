@@ -1,4 +1,4 @@
-"""Recordings of a hand of two painted sensors that are touched and let go."""
+"""Recordings of a hand with two painted sensors that are touched and released."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000
 
 
 def record_finger(folder: Path, settings: str) -> Path:
-    """A recording that was made with these settings."""
+    """Make a recording with these settings; return its path."""
     recorder = Recorder(folder)
     recorder.begin(settings, painted_calibration())
     for seq, image in enumerate(IMAGES):
@@ -25,7 +25,7 @@ def record_finger(folder: Path, settings: str) -> Path:
 
 
 def record_hand(folder: Path) -> tuple[Path, ...]:
-    """Of each finger, by its id."""
+    """Record each finger; return the recordings' paths, which are named by its id."""
     return tuple(
         record_finger(folder / name, f"{{sensor_id: {name}, hand_id: left, hand_T_sensor: [{x}, 0, 0, 1, 0, 0, 0]}}\n")
         for name, x in PLACES_X_MM.items()

@@ -1,4 +1,4 @@
-"""A robot on a pty: it moves, tells its poses and keeps its clock, as badly as asked.
+"""A robot on a pty: it moves, reports its poses and keeps its clock, with the requested faults.
 
 ::
 
@@ -40,7 +40,7 @@ SYNC_S, FIRST_SYNCS, FIRST_SYNC_S = 1.0, 8, 0.1
 
 
 def motion(at_s: float) -> PoseValues:
-    """Where the flange is: a circle of 40 mm in 4 s, rocking by 20 degrees about x."""
+    """The flange's pose: a circle of 40 mm in 4 s, rocking by 20 degrees about x."""
     phase = math.tau * at_s / 4
     half = math.radians(10) * math.sin(phase)
     return (40 * math.cos(phase), 40 * math.sin(phase), 300.0, math.cos(half), math.sin(half), 0.0, 0.0)
@@ -48,7 +48,7 @@ def motion(at_s: float) -> PoseValues:
 
 @dataclass(slots=True)
 class Faults:
-    """What goes wrong, and how often: parts of all lines and frames; stalls as (every s, for s); reboots every s."""
+    """Faults and how often they occur: shares of all lines and frames; stalls as (every s, for s); reboots every s."""
 
     lose: float = 0.0
     damage: float = 0.0
@@ -58,7 +58,7 @@ class Faults:
 
 @dataclass(slots=True)
 class Told:
-    """What was sent, and what came back."""
+    """Counts of what the robot sent and received."""
 
     poses: int = 0
     last_pose_seq: int = -1
@@ -72,7 +72,7 @@ class Told:
 
 
 class PtyRobot:
-    """A robot in a thread of its own.
+    """A robot in its own thread.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ class PtyRobot:
     rate_hz : float
         Poses per second; 0 sends none.
     poses : int or None
-        Sends so many and then goes on without.
+        The number of poses to send before it continues without them; None: no limit.
     where : callable
-        As `motion`: where the flange is, at a time of `true_s`.
+        Like `motion`: the flange's pose at a time of `true_s`.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class PtyRobot:
         self._where = where
         self.events: list[str] = []  # EVT lines
         self.replies: dict[int, str] = {}
-        self.answers: list[str] = []  # to what was asked, in order
+        self.answers: list[str] = []  # to commands, in order
         self._link = link
         self._rate_hz, self._binary, self._one_way, self.poses_max = rate_hz, binary, one_way, poses
         self._line = line
@@ -147,7 +147,7 @@ class PtyRobot:
             self._fds = master, slave
 
     def unplug(self) -> None:
-        """Take the pty away, as a cable that is pulled; what is on its way is lost."""
+        """Remove the pty, like a pulled cable; bytes in transit are lost."""
         with self._lock:
             fds, self._fds = self._fds, None
             self._out.clear()
@@ -158,7 +158,7 @@ class PtyRobot:
         self._link.unlink(missing_ok=True)
 
     def stop_talking(self) -> None:
-        """Hang, with the cable in."""
+        """Hang with the cable plugged in."""
         self._stop.set()
 
     def ask(self, text: str) -> None:
@@ -166,7 +166,7 @@ class PtyRobot:
         self._typed.append(text)
 
     def true_s(self) -> float:
-        """The time that `motion` takes, now."""
+        """The current time for `motion`."""
         return time.monotonic() - self.began_s
 
     def _boot(self) -> None:
@@ -300,7 +300,7 @@ class PtyRobot:
             self._hear(data, self.clock.read_ns(self.true_s()))
 
     def _hear(self, data: bytes, t4_ns: int) -> None:
-        """Both modes at once: a line has no zero, and no frame is so short that its first byte is a LF."""
+        """Decode both modes at once: a line has no zero, and no frame is so short that its first byte is a LF."""
         self._buffer += data
         while (end := min((i for i in map(self._buffer.find, (b"\n", b"\0")) if i >= 0), default=-1)) >= 0:
             raw, zero, self._buffer = self._buffer[:end], self._buffer[end] == 0, self._buffer[end + 1 :]
@@ -333,7 +333,7 @@ class PtyRobot:
 
 
 def main() -> None:
-    """Run until the time is over or Ctrl-C."""
+    """Run until the time is over or until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--link", type=Path, required=True, help="under /dev, for serial.device: /dev/shm/robot")
     parser.add_argument("--rate", type=float, default=100.0)

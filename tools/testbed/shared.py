@@ -1,4 +1,4 @@
-"""What is dear to make is made by one of pytest's workers, and read by the others."""
+"""One of pytest's workers makes what is expensive, and the others read it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import TypeVar
 
 Made = TypeVar("Made")
 folder: Path | None = None
-"""One of this run, which all its workers have; conftest.py sets it. Without one everything is made here."""
+"""This run's folder, shared by all its workers; conftest.py sets it. Without one, each process makes everything."""
 
 
 def once_for_all_workers(name: str, make: Callable[[], Made]) -> Made:
-    """What `make` returns; `name` is of it alone. Its arrays are read-only, as those of a worker that made it."""
+    """The result of `make`, under a unique `name`. Its arrays are read-only, also in the worker that made it."""
     if folder is None:
         return make()
     path = folder / f"{hashlib.sha256(name.encode()).hexdigest()}.pickle"
     with path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # given back when the file is closed, also by a worker that dies
+        fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed, also by a worker that dies
         if not path.exists():
             buffers: list[pickle.PickleBuffer] = []
             data = pickle.dumps(make(), protocol=5, buffer_callback=buffers.append)

@@ -1,4 +1,4 @@
-"""What tests of the page share: a daemon to look at, and words for what the browser shows."""
+"""What the page's tests share: a daemon to show, and functions for what the browser shows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FPS = 10
 def daemon(
     folder: Path, calibration: Path, port: int, sensor_id: str = "left-index", fps: int = FPS
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """The real daemon on the simulated sensor, which ends well unless the caller has killed it."""
+    """The real daemon on the simulated sensor; it must exit cleanly unless the caller has killed it."""
     config = folder / f"{sensor_id}.yaml"
     config.write_text(
         f"sensor_id: {sensor_id}\ncalibration: {calibration}\nsource: {{kind: simulated, fps: {fps}}}\n"
@@ -82,7 +82,7 @@ def unfold_health(page: Chrome) -> None:
 
 
 def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any], seq: int) -> None:
-    """Publish until it is on the screen: QoS 0, and the page may still be subscribing."""
+    """Publish until the result is on the screen: QoS is 0, and the page may still be subscribing."""
 
     def again() -> bool:
         sensor.show(result())

@@ -1,1 +1,1 @@
-"""Bytes to values. No I/O."""
+"""Decodes bytes to values. No I/O."""

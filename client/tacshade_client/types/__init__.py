@@ -1,4 +1,4 @@
-"""Those of the daemon's values that its messages are made of."""
+"""The daemon's value types that its messages contain."""
 
 from .arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
 from .frame import IDENTITY_POSE, Frame, Pose

@@ -255,8 +255,8 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
         chosen = msgspec.structs.replace(chosen, exposure=round(value))
     found = "".join(f"#   {name}: {value}\n" for name, value in described.items())
-    keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
-    keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
+    keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen), "recorder": {"folder": "recordings"}}
+    keys |= {"serial": msgspec.to_builtins(serial), "stitching": {"folder": "sessions"}} if serial else {}
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
     return f"# Settings for `tacshade-edge run` and to continue this capture.\n{text}# As the camera reported:\n{found}"
 

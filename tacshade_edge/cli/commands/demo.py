@@ -133,6 +133,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{what}: open {shown}", flush=True)
         if login:
             print("No encryption: others on the network can read the address and the page.", flush=True)
+        print(f"Other programs can listen to the broker 127.0.0.1:{mqtt}.", flush=True)
         print("Press Ctrl-C to stop.", flush=True)
         other: Generator[None, None, None]
         if args.hand:

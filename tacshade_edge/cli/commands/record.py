@@ -18,6 +18,7 @@ from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 from tacshade_edge.protocol.strict import decode_object
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import load
 
 ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
@@ -64,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     finally:
         caller.stop()
     dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
-    print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped} ({ended['ending']})")
+    early = f" ({ended['ending']})" if ended["ending_code"] != ReasonCode.TIME else ""
+    print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}")
     if reason := ended.get("reason"):  # as `status/recorder` has it
         raise DeviceError(f"{folder}: stopped: {reason}; the frames written so far are kept")
     if ended["frames"] == 0:

@@ -7,6 +7,7 @@ import csv
 import io
 import itertools
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,12 @@ PRESS_KEYS = (
     *("drag_x_mm", "drag_y_mm", "twist_deg"),
 )
 """What is said of a press, in ``scenes.csv`` and beside the truth."""
+
+_SETTINGS = """\
+calibration: calibration.npz
+source: {kind: simulated}
+recorder: {folder: recordings}
+"""
 
 _SEED_STRIDE = 1000  # every image of a set has a noise seed of its own
 _PAD_SEED = 500_000
@@ -176,6 +183,12 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"), rows)
     print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
+    if model == SensorModel():  # the one that `source: {kind: simulated}` shows
+        (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
+        at = shlex.quote(str(folder))
+        words = f"--sensor {at}/SENSOR.yaml --reference {at}/reference_*.png --presses {at}/PRESSES.csv"
+        print(f"next:\n  tacshade-edge calibrate {words} --out {at}/calibration.npz")
+        print(f"  tacshade-edge run --config {at}/config.yaml")
 
 
 def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:

@@ -1,1 +1,1 @@
-"""From references and presses to a calibration, and how good it is."""
+"""Make a calibration from references and presses, and grade it."""

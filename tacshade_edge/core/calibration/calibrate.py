@@ -1,4 +1,4 @@
-"""References and known presses to a `Calibration`."""
+"""Compute a `Calibration` from references and known presses."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Fit, Geometry
 
 UNLIKE_PART = 0.03
-"""Of the median press's disc: more that the network cannot explain is worth a word."""
+"""Part of the median press's disc: a warning is due if the network cannot explain more than this."""
 
 UNUSUAL_ERRORS = 1.4
-"""Scale of σ of the graded profile: more is worth a word (at most 1.34 on six sensors of the trained family, 1.38 or
-more on six of the other)."""
+"""Error scale of the graded profile above which a warning is due (at most 1.34 on six sensors of the trained family,
+1.38 or more on six of the other)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
-    """A calibration, warnings for the person who takes it, how good it is, and the presses that were used."""
+    """A calibration, warnings for the user, its quality, and the presses that were used."""
 
     calibration: Calibration
     warnings: tuple[str, ...]
@@ -55,26 +55,26 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit everything that images can show of a sensor.
+    """Fit everything about a sensor that images can show.
 
     Parameters
     ----------
     sensor : Sensor
     references : sequence of uint8 (H, W) or (H, W, 3)
-        At least one, of the unloaded skin.
+        At least one image of the unloaded skin.
     presses : sequence of KnownPress
         None, or at least `press_selection.MIN_PRESSES`.
     allow_loaded_reference : bool
-        Warn instead of refusing.
+        Warn of a load instead of raising.
     networks : mapping of str to Network, optional
-        Of each profile that is to be refitted to the presses.
+        The network of each profile to refit to the presses.
     reference_names : sequence of str
-        What the messages call each reference; their numbers from 1 if none are given.
+        Name of each reference in messages; numbers from 1 if empty.
 
     Raises
     ------
     ConfigError
-        With the reason why it cannot work.
+        The references or presses cannot give a calibration; the message states why.
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
@@ -83,7 +83,7 @@ def calibrate(
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
     selection = select_presses(unloaded, presses, (networks or {}).get(GRADED_PROFILE))
     geometry = unloaded.geometry
-    # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
+    # The paper's α for this sensor scales a normalised height of 1 to the mean pressed depth.
     alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px
     fitted = replace(unloaded, alpha=alpha)
     refits = {}
@@ -118,7 +118,7 @@ def calibrate(
         )
     if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
         words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
-        # A fit to labels that contradict each other learns what is wrong in them.
+        # A fit to labels that contradict each other learns their errors.
         advice = "" if hint or fit.agreement_mae_mm > AGREEMENT_FAIR_MM * skin_scale(geometry) else "; --fit may help"
         warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)
@@ -127,7 +127,7 @@ def calibrate(
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
-    """What the references alone show."""
+    """The calibration that the references alone give."""
     if not greys:
         raise ConfigError("found no reference image, expected at least one of the unloaded skin")
     for number, grey in enumerate(greys, start=1):

@@ -1,4 +1,4 @@
-"""What a person brings to a calibration besides the reference images."""
+"""The user's input to a calibration."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What a person states of a sensor (SENSOR.yaml).
+    """The user's description of a sensor (SENSOR.yaml).
 
-    `visible_circle` and `binarisation` overrule what the references show; None: they are found there.
+    `visible_circle` and `binarisation` override what the references show; if None, `calibrate` finds them there.
     """
 
     skin_radius_mm: float
@@ -27,21 +27,21 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPress:
-    """A known press: its image and the row of PRESSES.csv.
+    """A known press: its image and its row of PRESSES.csv.
 
     Attributes
     ----------
     name : str
     image : uint8 (H, W) or (H, W, 3)
     radius_mm : float
-        Of the ball; 0 for another indenter.
+        Radius of the ball; 0 for another indenter.
     depth_mm : float
     x_mm, y_mm : float or None
-        None where a ball is to be located.
+        None for a ball that the image must locate.
     indenter : Indenter or None
-        None is a ball.
+        None for a ball.
     yaw_deg, tilt_x_deg, tilt_y_deg : float
-        As `place` takes them.
+        Angles as defined by `place`.
     """
 
     name: str
@@ -58,7 +58,7 @@ class KnownPress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """All that a person brought to a calibration, kept so that it can be made again.
+    """All input to a calibration, kept so that the calibration can be repeated.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ class Inputs:
     references : tuple of uint8 (H, W)
         Grey images of the unloaded skin.
     presses : tuple of KnownPress
-        Their images are grey.
+        With grey images.
     renewed : tuple of uint8 (H, W)
-        Of the last new reference (``calibrate --rezero``); none where there was none.
+        Images of the latest new reference (``calibrate --rezero``); empty if none was taken.
     """
 
     sensor: Sensor

@@ -1,4 +1,4 @@
-"""How good a calibration is, in a line, and what to do when it is not good."""
+"""Grade a calibration in one line, with advice if it is not good."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
 GRADED_PROFILE = "accurate"
 """The profile whose error grades a calibration."""
-# On the nominal skin: its mean depth error, and how well the presses agree with each other. What good presses give, and
-# presses stated 0.3 and 0.6 mm off, `tools/studies/calibration.py` measures (calibration-checks.md has its table).
+# On the nominal skin: mean depth error, and how well the presses agree with each other. `tools/studies/calibration.py`
+# measures both for good presses and for presses stated 0.3 and 0.6 mm off (table in calibration-checks.md).
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
 _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
@@ -23,7 +23,7 @@ _TO_REPEAT = 3
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How good, one line, and what to do, most useful first (empty when good)."""
+    """A grade, the line that explains it, and advice, most useful first (empty if the grade is good)."""
 
     grade: Grade
     line: str
@@ -35,7 +35,7 @@ UNCALIBRATED = Quality(
     "uncalibrated: depth assumes an average sensor of this kind; only --presses can measure its error on this one",
     ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/how-to/calibration.md)",),
 )
-"""Without presses."""
+"""The quality of a calibration without presses."""
 
 
 def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]) -> Quality:
@@ -46,9 +46,9 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     fit : Fit
     geometry : Geometry
     missing : sequence of str
-        What the presses do not cover.
+        What the presses do not cover, as advice.
     errors_mm : sequence of (name, error in mm)
-        Of the presses, with the graded profile.
+        Depth errors of the presses in the graded profile.
     """
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
@@ -81,5 +81,5 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
 
 
 def _rounded_up(value_mm: float) -> str:
-    """To 0.05 mm: "within" must not be too little."""
+    """Round up to 0.05 mm, because the message says "within"."""
     return f"{math.ceil(value_mm / 0.05 - 1e-9) * 0.05:.2f}"

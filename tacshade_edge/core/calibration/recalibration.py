@@ -1,4 +1,4 @@
-"""What a calibration was made of, so that it can be made again when the program has changed."""
+"""Keep the inputs of a calibration, to repeat it when the program has changed."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from tacshade_edge.types import U8, Calibration
 
 
 def inputs_of(sensor: Sensor, references: Sequence[U8], presses: Sequence[KnownPress]) -> Inputs:
-    """Keep what `calibrate` takes, in grey, which is all that it looks at."""
+    """Keep the inputs of `calibrate`, the images in grey, which is all that it uses."""
     greys = tuple(to_grey(image) for image in references)
     return Inputs(sensor, greys, tuple(replace(press, image=to_grey(press.image)) for press in presses))
 
 
 def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:
-    """The same after `rezero` with these images."""
+    """The same inputs after `rezero` with these images."""
     return replace(inputs, renewed=tuple(to_grey(image) for image in images))
 
 
 def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
-    """Calibrate as before, with what the program makes of it now.
+    """Repeat a calibration with the present program.
 
     Raises
     ------
     ConfigError
-        It can no longer be used.
+        The program can no longer calibrate from these inputs.
     """
-    # A loaded reference was warned of, or refused, when it was taken.
+    # The first calibration already warned of a loaded reference, or rejected it.
     made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
     return rezero(made, inputs.renewed, True) if inputs.renewed else made

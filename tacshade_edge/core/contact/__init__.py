@@ -1,1 +1,1 @@
-"""Whether anything touches, and what: the gate, outlines, objects."""
+"""Find contact and objects: the gate, outlines, tracking."""

@@ -1,4 +1,4 @@
-"""Does anything touch the skin? Decided on absolute grey change, before any normalisation."""
+"""Decide whether anything touches the skin, from the absolute grey change before any normalisation."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32
 
-# The change that counts as contact: this many times the references' noise, and never less than the profile's level.
+# A change counts as contact if it exceeds this many times the references' noise and the profile's level.
 GATE_NOISE = 6.0
-# The least area of skin over the threshold.
+# Least area of skin beyond the threshold.
 GATE_MM2 = 3.0
 
 
@@ -21,7 +21,7 @@ class ContactGate:
     Parameters
     ----------
     preprocessor : Preprocessor
-        Whose values are judged.
+        Provides the noise and the levels of the gate.
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
@@ -31,7 +31,7 @@ class ContactGate:
         self._dark_levels = preprocessor.profile.gate_dark_levels
 
     def opens(self, preprocessed: Preprocessed) -> bool:
-        """Whether anything touches in an image."""
+        """Whether anything touches the skin in an image."""
         return gate(
             preprocessed.g_d,
             preprocessed.drift_grey,
@@ -45,22 +45,22 @@ class ContactGate:
 def gate(
     g_d: F32, drift_grey: float, noise_grey: float, cell_mm2: float, levels: float, dark_levels: float = math.inf
 ) -> bool:
-    """Absolute contact gate.
+    """Whether enough skin changed to be in contact.
 
     Parameters
     ----------
     g_d : float32 (N,)
-        Eq. 9 at the cells that have a vote, positive in contact, not denoised.
+        Eq. 9 at the voting cells, positive in contact, not denoised.
     drift_grey : float
-        The change of g that they have in common.
+        Change of g that they share.
     noise_grey : float
         RMS of g without contact.
     cell_mm2 : float
-        Area of skin per cell.
+        Area of skin per cell, mm².
     levels : float
-        The least change that counts (`Profile.gate_levels`).
+        Least change that counts (`Profile.gate_levels`).
     dark_levels : float
-        The least change away from contact that counts (`Profile.gate_dark_levels`): the rim of a contact.
+        Least change away from contact that counts (`Profile.gate_dark_levels`): the rim of a contact.
     """
     noise = GATE_NOISE * noise_grey
     over = np.count_nonzero(g_d > np.float32(drift_grey + max(levels, noise)))

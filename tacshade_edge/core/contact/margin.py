@@ -1,13 +1,13 @@
-"""How firmly an object is held: a margin before it slips, from what shear and depth show of its loads.
+"""Estimate how firmly an object is held: its margin before it slips, from the loads that shear and depth show.
 
-On skin that gives way like springs side by side (Winkler's foundation), the load across a contact goes with its depth
-and the load along it with its shear: by Coulomb's law it slides at some ratio of the two, friction times the springs'
-stiffnesses. This limit differs from skin to skin and from object to object. It is learned where the contact slides, and
-taken as `LIMIT` before. What was borne without a slide shows that it is higher: a load that was borne for a while, or
-that went back, as what slides keeps its ratio.
+On skin that behaves like independent springs (Winkler's foundation), the normal load of a contact follows its depth and
+the tangential load its shear: by Coulomb's law it slides at some ratio of the two, friction times the ratio of the
+springs' stiffnesses. This limit differs between skins and objects. The contact shows it when it slides; before that,
+`LIMIT` is assumed. A load borne without a slide shows that the limit is higher, if it was borne for a while or went
+back, because a sliding contact keeps its ratio.
 
-That the sticking part of a contact shrinks before all of it slides (Cattaneo 1938; Mindlin 1949) does not help: the
-strain of the shear that networks find is the same part of it from a half that sticks to nothing.
+The shrinking of the sticking part before the whole contact slides (Cattaneo 1938; Mindlin 1949) does not help: the
+networks' shear has the same relative strain whether half of the contact sticks or nothing does.
 """
 
 from __future__ import annotations
@@ -19,61 +19,61 @@ from dataclasses import dataclass, field
 from tacshade_edge.types import Slip
 
 ALARM = 0.25
-"""A contact of so little margin is about to slip."""
+"""Margin below which a contact is about to slip."""
 LIMIT = 0.65
-"""Mean shear over greatest depth at which a contact slides, before it is known: of simulated skins a low one."""
+"""Assumed ratio of mean shear to greatest depth at which a contact slides: a low one among simulated skins."""
 LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2
-"""What is learned and divided by is at least this: less is noise."""
+"""Least learned limit and least depth to divide by; less is noise."""
 FILTER_NS = 80_000_000
 """Time constant of the ratio's low pass."""
 SLIDE_NS = 60_000_000
-"""A slide counts from so long on: what is shaken seems to slide for a frame or two."""
+"""Least duration of a slide: a shaken object seems to slide for a frame or two."""
 
 WENT_BACK = 0.85
-"""A ratio that falls below this part of its peak without a slide: the peak was borne."""
+"""If the ratio falls below this part of its peak without a slide, the peak was borne."""
 BORNE_NS, BEYOND = 2_000_000_000, 1.5
-"""A ratio without a slide since so long was borne, too; before any slide the limit is taken to be so much beyond it."""
+"""A ratio held this long without a slide was borne too; before any slide, the limit is assumed this factor above it."""
 
 
 @dataclass(slots=True)
 class Grip:
-    """The hold on one object, followed frame by frame.
+    """The hold on one object, updated frame by frame.
 
     Attributes
     ----------
     limit : float
-        The ratio at which it slides: once it slid, the greatest of the last slide or of what it bore since.
+        Ratio at which it slides: after a slide, the greatest ratio of that slide or borne since.
     """
 
     limit: float = LIMIT
     _ratio: float = 0.0
     _t_ns: int | None = None
     _since_ns: int | None = None
-    """When the slide began."""
+    """Time at which the slide began."""
     _slides: bool = False
     _beyond: float = BEYOND
     _peak: float = 0.0
-    """Greatest ratio since one went back."""
+    """Greatest ratio since the last one that went back."""
     _lately: deque[tuple[int, float]] = field(default_factory=deque)
     """Times and ratios of the last `BORNE_NS`."""
 
     def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
-        """Take a frame.
+        """Update the hold with a frame.
 
         Parameters
         ----------
         t_ns : int
-            A time not after the last one begins another stream.
+            Time of the frame; one not after the last begins another stream.
         shear_mm : (float, float)
-            Mean over the contact.
+            Mean shear over the contact.
         depth_mm : float
-            Greatest h.
+            Greatest h of the contact.
         slip : Slip
 
         Returns
         -------
         float
-            1 firm to 0: the whole contact slides, or would.
+            Margin from 1 (firm) to 0 (the whole contact slides, or would).
         """
         ratio = math.hypot(*shear_mm) / max(depth_mm, LEAST_DEPTH_MM)
         if self._t_ns is None or t_ns <= self._t_ns:

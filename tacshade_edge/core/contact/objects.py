@@ -1,4 +1,4 @@
-"""Object clouds: the paper's two-means split of heights, then one label for every connected contact."""
+"""Make object clouds: the paper's two-means split of heights, then one label for every connected contact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.types import F32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
 
 BINS = 256
-# Smaller patches are not an object that a finger could report.
+# Smaller patches are no objects.
 MIN_OBJECT_MM2 = 0.5
 LABELS_MAX = np.iinfo(np.uint16).max
 
@@ -24,18 +24,18 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Objects:
-    """All that touches.
+    """All objects in contact.
 
     Attributes
     ----------
     contact : bool (rows, cols)
-        Cells of some object.
+        Cells of any object.
     cloud : ObjectCloud
         Their points, ordered by label.
     described : tuple of TouchedObject
-        The greatest first, at least one.
+        The largest first, at least one.
     volume_mm3 : float
-        Displaced under them.
+        Volume displaced under them.
     """
 
     contact: Bool
@@ -48,10 +48,11 @@ class Objects:
 
 
 def contact_of(depth: Depth, inside: Bool) -> Bool:
-    """Where the skin touches an object, bool (rows, cols): the solver's contact, else the paper's split of heights.
+    """Cells where the skin touches an object, bool (rows, cols): the solver's contact, else the paper's split of
+    heights.
 
-    The split is of the heights as found: cut off at the skin's radius, those of a great α would all be one. What does
-    not show the skin is none.
+    The split uses the heights as found, because heights clipped at the skin's radius would all be equal for a great α.
+    Untrusted cells have no contact.
     """
     if depth.contact is None:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
@@ -63,18 +64,18 @@ def contact_of(depth: Depth, inside: Bool) -> Bool:
 def find_objects(
     contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
-    """Distinguish what touches, and where in space its skin lies; None where nothing does.
+    """Separate the objects in contact, with points of their skin; None if nothing touches.
 
     Parameters
     ----------
     contact : bool (rows, cols)
-        Only cells with a height.
+        True only at cells with a height.
     height_mm : float32 (rows, cols)
-        h, at most r; NaN outside the disc.
+        Height h, at most r; NaN outside the disc.
     shear_mm : float32 (rows, cols, 2) or None
         Shear of the skin.
     rays : DiscRays
-        Of the same grid.
+        Rays of the same grid.
     geometry : Geometry
     """
     box = bounding_box(contact)
@@ -84,7 +85,7 @@ def find_objects(
 def objects_in(
     box: Box, contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
-    """`find_objects` in some rows and columns; all that hold the contact and a cell around it give the same."""
+    """`find_objects` within a box; all boxes that hold the contact and a cell around it give the same result."""
     height = np.ascontiguousarray(height_mm[box])
     planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
@@ -103,7 +104,7 @@ def objects_in(
 
 
 def bounding_box(contact: Bool) -> Box | None:
-    """Rows and columns of the contact, and one more to each side: a cell's area needs its neighbours."""
+    """Rows and columns of the contact plus one on each side, because a cell's area needs its neighbours."""
     left, top, width, height = cv2.boundingRect(contact.view(np.uint8))
     if width == 0:
         return None
@@ -111,12 +112,11 @@ def bounding_box(contact: Bool) -> Box | None:
 
 
 def two_means_split(values: F32) -> float:
-    """Threshold of the k-means with k = 2 over scalar values, the paper's separation of object and skin.
+    """The threshold of k-means with k = 2 over scalar values, the paper's separation of object and skin.
 
-    In one dimension each cluster is an interval, so k-means is the choice of one threshold, and minimising
-    the variance within the two intervals is maximising the variance between them, which is Otsu's criterion.
-    Trying every threshold of a histogram therefore gives the global optimum (up to a bin) that Lloyd's
-    iterations only approach, without a seed.
+    In one dimension each cluster is an interval, so k-means chooses one threshold, and minimising the variance within
+    the two intervals means maximising the variance between them, which is Otsu's criterion. Trying every threshold of a
+    histogram therefore gives the global optimum (up to a bin) that Lloyd's iterations only approach, and needs no seed.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def two_means_split(values: F32) -> float:
     Returns
     -------
     float
-        Values above it are the upper cluster; infinity where there are not two different values.
+        Values above it are the upper cluster; infinity without two different values.
     """
     if values.size == 0:
         return float("inf")
@@ -141,18 +141,18 @@ def two_means_split(values: F32) -> float:
     sum1 = float((counts * middles).sum()) - sum0
     with np.errstate(invalid="ignore", divide="ignore"):
         between = np.nan_to_num(n0 * n1 * (sum0 / n0 - sum1 / n1) ** 2, nan=-1.0)
-    # Every threshold over the empty bins between two clusters is the same split: their middle is k-means' boundary.
+    # All thresholds in the empty bins between two clusters give the same split: k-means' boundary is their middle.
     best = np.flatnonzero(n0 == n0[np.argmax(between)])
     middle = float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
-    # As a float32 that is not over it: values between which there is no other are distinguished, too.
+    # Round down to float32, so that adjacent float32 values are still separated.
     split = np.float32(middle)
     return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
 
 
 def label_objects(contact: Bool, cell_area: F32) -> U16:
-    """Number the connected contacts (8-neighbours), the greatest area first.
+    """Number the connected contacts (8-neighbours), the largest area first.
 
-    Patches under 0.5 mm² vanish, and what is beyond the 65535 objects that a cloud can number.
+    Drops patches below 0.5 mm², and those beyond the 65535 objects that a cloud can number.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def label_objects(contact: Bool, cell_area: F32) -> U16:
     Returns
     -------
     uint16 (rows, cols)
-        0 outside every object, else its number from 1.
+        0 outside all objects, else the object's number from 1.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
@@ -179,7 +179,7 @@ def label_objects(contact: Bool, cell_area: F32) -> U16:
 def cells_by_label(labels: U16) -> I64:
     """Flat indices of the labelled cells: object by object, row by row in each."""
     cells = np.flatnonzero(labels)
-    # Of 16 bits, a stable sort is a radix sort.
+    # For 16 bits, a stable sort is a radix sort.
     return np.asarray(cells.take(labels.take(cells).argsort(kind="stable")), np.int64)
 
 
@@ -193,11 +193,11 @@ def _described(
     x_y_z : float32 (3, N)
         Points, at least one.
     labels : uint16 (N,)
-        Theirs, in order; no label is left out.
+        Their labels, in order and without gaps.
     height_mm, cell_area : float32 (N,)
-        At the points.
+        Height and area of skin at the points.
     shear_mm : float32 (2, N) or None
-        There.
+        Shear at the points.
     """
     numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
     ends = labels.searchsorted(numbers, side="right")

@@ -1,4 +1,4 @@
-"""The plane that fits each object's contact best, and the motion in the plane of its points."""
+"""Fit a plane to each object's contact, and a planar motion to its points."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from tacshade_edge.types import F32, F64, I64
 
 TWIST_CELLS = 6
-"""Of fewer cells no twist is reported."""
+"""Least number of cells for a twist."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """Of one object's contact, since the reference.
+    """The motion of one object's contact since the reference.
 
     Attributes
     ----------
     shear_mm : (float, float)
-        Mean shear of its points along x and y.
+        Mean shear of the points along x and y.
     twist_deg : float or None
-        Angle about z, from x towards y, of the least-squares rotation about their mean; None under `TWIST_CELLS`.
+        Angle about z, from x towards y, of the least-squares rotation about their mean; None below `TWIST_CELLS`.
     strain_mm : float
-        Root mean square of what shear and rotation leave: of skin that an object holds, nothing.
+        Root mean square of the motion beyond shear and rotation: 0 for skin that an object holds.
     """
 
     shear_mm: tuple[float, float]
@@ -32,7 +32,7 @@ class RigidMotion:
 
 
 def about_mean(values: F32, starts: I64, counts: I64) -> tuple[F64, F64]:
-    """Mean of each object's values (dimensions, N), and the values less it; float64."""
+    """The mean of each object's values (dimensions, N), and the values less the mean; float64."""
     means: F64 = np.add.reduceat(values, starts, axis=1, dtype=np.float64) / counts
     return means, np.subtract(values, np.repeat(means, counts, axis=1), dtype=np.float64)
 
@@ -45,7 +45,7 @@ def normals(about_mean_mm: F64, starts: I64) -> F64:
     about_mean_mm : float64 (3, N)
         Points less their object's mean, object by object.
     starts : int (objects,)
-        Where each object's points begin; none is empty.
+        Index of each object's first point; no object is empty.
     """
     ends = [*starts[1:].tolist(), about_mean_mm.shape[1]]
     objects = [about_mean_mm[:, start:end] for start, end in zip(starts.tolist(), ends, strict=True)]
@@ -60,11 +60,11 @@ def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -
     Parameters
     ----------
     about_mean_mm : float64 (2, N)
-        Points now, x and y less their object's mean, object by object.
+        Present points, x and y less their object's mean, object by object.
     shear_mm : float32 (2, N)
-        Their shear along x and y.
+        Shear of the points along x and y.
     starts, counts : int (objects,)
-        Where each object's points begin, and how many they are; none has none.
+        Index of each object's first point, and number of its points; no object is empty.
     """
 
     def sums(values: F64) -> F64:
@@ -73,7 +73,7 @@ def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -
     now = about_mean_mm
     shear, moved = about_mean(shear_mm, starts, counts)
     before = now - moved
-    # Umeyama 1991, in the plane: the angle whose cosine and sine are as these two.
+    # Umeyama 1991, in the plane: these two are proportional to the cosine and sine of the angle.
     along = sums(before[0] * now[0] + before[1] * now[1])
     across = sums(before[0] * now[1] - before[1] * now[0])
     left = sums(np.sum(before**2 + now**2, axis=0)) - 2 * np.hypot(along, across)

@@ -1,13 +1,13 @@
-"""Objects from frame to frame: a number that each keeps while it touches, whether it slips, and how firmly it is held.
+"""Track objects from frame to frame: a number for each while it touches, its slip, and how firmly it is held.
 
-Skin that an object holds stays under it: the mean of where the touched skin was in the reference, the imprint's place
-in the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
-that mean moves with the speed of the slip. Friction drags the skin the way that the object slides: what moves over skin
-that is not dragged, or against the way it is dragged, is a contact that grows or shrinks on one side.
+Skin that an object holds stays under it: the mean of the touched skin's places in the reference, the imprint's place in
+the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
+that mean moves with the speed of the slip. Friction drags the skin in the direction of the slide: an imprint that moves
+over undragged skin, or against its drag, belongs to a contact that grows or shrinks on one side.
 
-By Coulomb's law a contact that slides bears its limit, which goes with its depth: skin that goes back faster than the
-depth lets it is skin whose load is taken off. Networks find the place of an object too little moved with its drag, so
-an object that is shaken would else slip whenever it swings back.
+By Coulomb's law a sliding contact bears its limit, which follows its depth: skin that goes back faster than the depth
+explains is being unloaded. Without this, a shaken object would seem to slip whenever it swings back, because networks
+underestimate the motion of an object's place with its drag.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ from tacshade_edge.core.contact.margin import LEAST_DEPTH_MM, Grip
 from tacshade_edge.types import Reconstruction, Slip
 
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
-"""Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the shortest over which it stands out
-of the noise shows a slip, a fast one within 100 ms at 30 frames a second and more."""
+"""Spans over which a speed is measured, or over `LEAST_FRAMES` if those take longer: the shortest span that stands out
+of the noise shows a slip, a fast one within 100 ms at 30 frames a second or more."""
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0
-"""From this speed of the imprint over the material on it is a slip."""
+"""Least speed of the imprint over the material that is a slip."""
 LEAST_SHEAR_MM = 0.3
-"""A contact that slides drags the skin by so much."""
+"""Least drag of the skin under a sliding contact."""
 FULL_PART = 0.6
-"""A contact slides as a whole when so much of its motion is over the material; where it holds in a part it is less."""
+"""Least part of its motion that a wholly sliding contact makes over the material; a partly held one makes less."""
 NOISE_SPREADS = 5.5
-"""What noise alone gives a speed is below so many standard deviations, in all but one of a million frames."""
+"""Speeds from noise alone are below this many standard deviations in all but one of a million frames."""
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
-"""Noise of an imprint's place along each axis before it is known, and over how many frames it is learned."""
+"""Initial noise of an imprint's place along each axis, and the number of frames over which it is learned."""
 PARTIAL_STRAIN = 0.12
-"""Strain over the shear, from which the contact holds in a part only."""
+"""Ratio of strain to shear above which only part of the contact holds."""
 PARTIAL_MM = 0.15
 REACH_MM = 4.0
-"""How far an object's place may be from where it was a frame ago."""
+"""Greatest distance of an object's place from that a frame ago."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """One object in one frame, as tracking takes it.
+    """One object in one frame, as input to tracking.
 
     Attributes
     ----------
     x_mm, y_mm : float
-        Mean of its points.
+        Mean place of its points.
     shear_mm : (float, float)
-        Mean shear of the skin there.
+        Mean shear of its skin.
     strain_mm : float
-        `rigid_motion.RigidMotion.strain_mm`.
+        See `rigid_motion.RigidMotion.strain_mm`.
     depth_max_mm : float
-        Its greatest h.
+        Greatest h.
     """
 
     x_mm: float
@@ -68,17 +68,17 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What tracking makes of an object.
+    """The result of tracking for an object.
 
     Attributes
     ----------
     id : int
-        From 1, the same while it touches, and never again.
+        Number from 1, the same while it touches, and never used again.
     slip : Slip
     slip_mm_s : float or None
-        Speed of its imprint over the skin's material; None before it is known.
+        Speed of its imprint over the skin's material; None until known.
     margin : float
-        1 firm to 0 sliding.
+        From 1 (firm) to 0 (sliding).
     """
 
     id: int
@@ -88,7 +88,7 @@ class Tracked:
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
-    """A reconstruction whose objects have what tracking finds; one of a solver that reports no shear as it is."""
+    """Add the results of tracking to a reconstruction's objects; without shear it stays the same."""
     contacts = [
         Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0, o.depth_max_mm)
         for o in result.objects
@@ -110,7 +110,7 @@ _Seen = deque[tuple[int, float, float, float, float, float]]
 class _Track:
     number: int
     seen: _Seen = field(default_factory=deque)
-    """Time, the imprint's place in the material, its place, and its depth."""
+    """Time, the imprint's place in the material, the contact's place, and its depth."""
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     slip: Slip = Slip.STICK
@@ -125,7 +125,7 @@ class ContactTracker:
         self._count = 0
 
     def step(self, t_ns: int, contacts: Sequence[Contact]) -> tuple[Tracked, ...]:
-        """Take a frame's objects, in any order; what is not among them has been let go."""
+        """Track a frame's objects, given in any order; objects that are not among them are released."""
         left = list(self._tracks)
         followed = []
         for contact in contacts:
@@ -141,7 +141,7 @@ class ContactTracker:
 
 
 def _nearest(tracks: Sequence[_Track], contact: Contact) -> _Track | None:
-    """The track that an object goes on; None where none is in reach."""
+    """The track that an object continues; None if none is in reach."""
     distances = [math.dist(track.at_mm, (contact.x_mm, contact.y_mm)) for track in tracks]
     least = min(distances, default=math.inf)
     return tracks[distances.index(least)] if least <= REACH_MM else None
@@ -170,7 +170,7 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
 
 
 def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
-    """Variance along an axis that the last second difference shows, which no even motion has."""
+    """Variance along an axis from the last second difference, in which uniform motion cancels."""
     if len(seen) < LEAST_FRAMES:
         return known_mm2
     a, b, c = (frame[1:3] for frame in list(seen)[-LEAST_FRAMES:])
@@ -178,9 +178,9 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
 
 
 def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tuple[bool, float | None]:
-    """Whether the whole contact slides, and its imprint's least-squares speed over the material, mm/s.
+    """Whether the whole contact slides, and the least-squares speed of its imprint over the material, mm/s.
 
-    None before it is known.
+    The speed is None until known.
     """
     if len(seen) < LEAST_FRAMES:
         return False, None

@@ -1,4 +1,4 @@
-"""From a preprocessed image to depth: a new solver is one file here and one line in `SOLVERS`."""
+"""Compute depth from a preprocessed image: a new solver is one file here and one line in `SOLVERS`."""
 
 from tacshade_edge.core.depth.base import Depth, MakeSolver, Network, NetworkMaps, ShearNetwork, Solver
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs

@@ -12,11 +12,11 @@ from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, freeze
 
 Mark = Callable[[str], None]
-"""Called with a stage's name at its end; a caller with a clock times the stages so."""
+"""Called with a stage's name at its end, so that a caller with a clock can time it."""
 
 
 Features = list[F32]
-"""Takes what a touch model looks at, network by network."""
+"""Collects the features for a touch model, network by network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,18 +26,18 @@ class Depth:
     Attributes
     ----------
     height_mm : float32 (rows, cols)
-        h, finite and not below 0; outside the disc it says nothing.
+        Height h, finite and not below 0; undefined outside the disc.
     contact : bool (rows, cols) or None
-        Where the skin touches an object, inside the disc only; None: to be found from the heights.
+        Cells where the skin touches an object, inside the disc only; None if only the heights show it.
     saturated : bool
-        Some cell left the range of the calibration.
+        Whether some cell left the range of the calibration.
     repaired_px : int
-        Cells whose value was not finite and was replaced by 0.
+        Number of cells with a value that was not finite, replaced by 0.
     untrusted : bool (rows, cols) or None
-        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not reported.
+        Cells that show something other than this sensor's skin, undefined outside the disc; None if not reported.
     contact_logit : float32 (rows, cols) or None
     untrusted_logit : float32 (M, M) or None
-        Log odds of both, of untrusted for fewer and wider cells.
+        Log odds of both; those of untrusted are for fewer, wider cells.
     """
 
     height_mm: F32
@@ -57,13 +57,13 @@ class Depth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkMaps:
-    """What a network makes of a frame.
+    """The outputs of a network for a frame.
 
     Attributes
     ----------
     depth_and_contact : float32 (2 fold², N, N)
     untrusted : float32 (M, M)
-        Log odds that a cell, of fewer and wider ones, shows something else than the sensor's skin.
+        Log odds that a cell (fewer and wider ones) shows something other than the sensor's skin.
     """
 
     depth_and_contact: F32
@@ -72,18 +72,18 @@ class NetworkMaps:
 
 @dataclass(frozen=True, slots=True)
 class ShearNetwork:
-    """A network that finds how the skin moved along itself; see `Network`.
+    """A network for the skin's tangential motion; see `Network`.
 
     Attributes
     ----------
     fold : int
     cells : int
-        Along a side of the maps that it is given.
+        Number of cells along a side of its input maps.
     sense : callable
     run : callable
-        To the shear along x and y, (2, M, M).
+        Returns the shear along x and y, (2, M, M).
     run_touch : callable or None
-        To that and float32 (D,) of features for a touch model (`core.touch`).
+        Returns the same and float32 (D,) features for a touch model (`core.touch`).
     """
 
     fold: int
@@ -95,25 +95,25 @@ class ShearNetwork:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A network and how it wants its maps. N = cells / fold.
+    """A network and the layout of its maps; N = cells / fold.
 
-    Its first layer is linear in what it is given, so what a sensor's reference adds there is the same for every frame.
+    Its first layer is linear in its input, so a sensor's reference contributes the same to every frame.
 
     Attributes
     ----------
     fold : int
-        Each square of fold x fold cells makes as many channels (`learned.fold`).
+        Each square of fold x fold cells becomes fold² channels (`network_maps.fold`).
     sense : callable
-        What is known of a sensor, the reference's white folded and `learned.KNOWN` maps, (fold² + KNOWN, N, N), to what
-        it adds to the first layer, (channels, N, N).
+        Maps what is known of a sensor, the folded white of the reference and `network_maps.KNOWN` maps, (fold² + KNOWN,
+        N, N), to its contribution to the first layer, (channels, N, N).
     run : callable
-        A frame's white folded, (fold², N, N), and what `sense` gave, to `NetworkMaps`.
+        Maps the folded white of a frame, (fold², N, N), and the result of `sense` to `NetworkMaps`.
     shear : ShearNetwork
-        Run beside it where shear is asked for.
+        Runs in addition if shear is requested.
     sigma : SigmaModel or None
-        Its errors, where they were measured.
+        Model of its errors, if they were measured.
     run_touch : callable or None
-        As `run`, and float32 (D,) of features for a touch model (`core.touch`).
+        Returns the result of `run` and float32 (D,) features for a touch model (`core.touch`).
     """
 
     fold: int
@@ -125,32 +125,32 @@ class Network:
 
 
 class Solver(Protocol):
-    """Depth from the preprocessed images of one sensor."""
+    """Computes depth from the preprocessed images of one sensor."""
 
     @property
     def grid(self) -> Grid:
-        """Where its cells lie, in the camera's pixels."""
+        """The grid of its cells, in the camera's pixels."""
         ...
 
     @property
     def has_shear(self) -> bool:
-        """Whether its `shear_mm` reports anything."""
+        """Whether `shear_mm` reports anything."""
         ...
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
-        """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks.
+        """Solve one image in contact; `mark` receives the stages before the last, ``depth``, which the caller marks.
 
-        Where `features` is given, those of its network are appended.
+        Appends the features of its network to `features`, if given.
         """
         ...
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
-        """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not reported.
+        """Shear of the skin along x and y at the grid's cells, float32 (rows, cols, 2); None if not reported.
 
-        The caller's own; finite; outside the disc it says nothing. `features` as in `solve`.
+        The caller owns the array. It is finite, and undefined outside the disc. `features` is as in `solve`.
         """
         ...
 
 
 MakeSolver = Callable[[Preprocessor, Network | None], Solver]
-"""Prepare a solver for what a preprocessor gives; the network is that of the profile, where it names one."""
+"""Prepares a solver for a preprocessor; the network is the profile's, if it names one."""

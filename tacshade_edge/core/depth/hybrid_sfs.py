@@ -1,8 +1,8 @@
-"""Eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
+"""Solve eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
 
-A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of
-eq. 12 is zero wherever p = -q, and every flat is such a place. The iteration then divides by the machine
-epsilon, and its result is a scaled copy of the grey image (docs/explanation/numerics.md has the figures).
+A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of eq. 12 is
+zero wherever p = -q, which includes every flat. The iteration then divides by the machine epsilon, and its result is a
+scaled copy of the grey image (docs/explanation/numerics.md has the figures).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ C128 = npt.NDArray[np.complex128]
 
 
 def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
-    """Backward difference with a zero first row or column; into `out` when given."""
+    """Backward difference with a zero first row or column; into `out` if given."""
     d = np.zeros_like(z) if out is None else out
     if axis == 0:
         d[0] = 0
@@ -39,26 +39,26 @@ def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
 
 
 def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
-    """25 iterations of eq. 11 from the initialisation of ref. [20], and the 3x3 median of |Z|.
+    """Run 25 iterations of eq. 11 from the initialisation of ref. [20], and take the 3x3 median of |Z|.
 
-    The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and
-    shows its result upside down; the first is kept, the second is not. The denominators |N·L| of eqs. 4, 7
-    and 8 are read as |N||L|: as printed, the quotient could only be 1 or -1.
+    The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and shows its
+    result upside down; this keeps the first, not the second. The denominators |N·L| of eqs. 4, 7 and 8 are read as
+    |N||L|: as printed, the quotient could only be 1 or -1.
 
     Parameters
     ----------
-    g_hn : float64 (rows, cols), 0 to 1; other values, NaN and infinity among them, are accepted.
+    g_hn : float64 (rows, cols), 0 to 1; other values, including NaN and infinity, are accepted.
 
     Returns
     -------
     z : float64 (rows, cols)
-        Finite, in units of the pixel, arbitrary scale.
+        Finite, in pixels of arbitrary scale.
     repaired_px : int
-        Values of the input or the result that were not finite and were replaced by 0.
+        Number of values of the input or the result that were not finite, replaced by 0.
     """
     finite = np.isfinite(g_hn)
     repaired = int(finite.size - np.count_nonzero(finite))
-    with np.errstate(all="ignore"):  # overflow is this method's normal course; it is repaired and counted below
+    with np.errstate(all="ignore"):  # overflow is normal for this method; it is repaired and counted below
         magnitude = np.abs(_iterate(np.where(finite, g_hn, 0.0).astype(np.complex128)))
     good = np.isfinite(magnitude)
     repaired += int(good.size - np.count_nonzero(good))
@@ -66,7 +66,7 @@ def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
 
 
 def _iterate(image: C128) -> C128:
-    """Z of eq. 11; in place wherever it can be, as every array of a whole image takes 5 MB."""
+    """Z of eq. 11, computed in place where possible, because every array of a whole image takes 5 MB."""
     p: C128 = np.fft.fft2(_backward(image, axis=1))
     q: C128 = np.fft.fft2(_backward(image, axis=0))
     z = image
@@ -93,34 +93,34 @@ def _iterate(image: C128) -> C128:
 
 
 def _median3(values: F64) -> F64:
-    """3x3 median in float64; the border repeats."""
+    """3x3 median in float64, with the border repeated."""
     padded = np.pad(values, 1, mode="edge")
     median = np.empty_like(values)
-    for row in range(0, len(values), MEDIAN_ROWS):  # nine copies of a whole image would be most of a step's memory
+    for row in range(0, len(values), MEDIAN_ROWS):  # nine copies of a whole image would take most of a step's memory
         windows = np.lib.stride_tricks.sliding_window_view(padded[row : row + MEDIAN_ROWS + 2], (3, 3))
         median[row : row + MEDIAN_ROWS] = np.median(windows.reshape(*windows.shape[:2], 9), axis=-1)
     return median
 
 
 def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end.
+    """Compute the paper's height: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range are clipped.
 
     Parameters
     ----------
     maps : GreyMaps
     alpha_mm : float
-        α: what a normalised height of 1 is.
+        α, the depth for a normalised height of 1.
     """
     g_hn, bad = finite_shape_grey(maps)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
-    # Of an image without contrast the iteration makes a constant; it is no height.
+    # The iteration turns an image without contrast into a constant, which is not a height.
     z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
     top = float(z.max(initial=0.0))
     return scaled(z / top if top > 0 else z, alpha_mm, repaired + bad)
 
 
 def finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
-    """Eq. 10 with 0 where g_d or g0 is not finite, and at how many cells that is."""
+    """Eq. 10 with 0 where g_d or g_0 is not finite, and the number of such cells."""
     finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
     g_d, g0 = (
         np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
@@ -129,13 +129,13 @@ def finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
 
 
 def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
-    """α times heights of 0 to 1, at most what float32 holds."""
+    """Depth from α times heights of 0 to 1, clipped to float32."""
     height: F32 = np.minimum(alpha_mm * unit, np.finfo(np.float32).max).astype(np.float32)
     return Depth(height_mm=height, repaired_px=repaired_px)
 
 
 class HybridSfs:
-    """Denoising, eq. 9, and `hybrid_depth`.
+    """Solves by denoising, eq. 9, and `hybrid_depth`.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class HybridSfs:
     denoise : callable
         The total-variation denoising.
     depth : callable
-        From the maps and α in mm to depth.
+        Computes depth from the maps and α in mm.
     """
 
     has_shear = False
@@ -170,4 +170,4 @@ class HybridSfs:
         return self._depth(maps, self._alpha_mm)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
-        """See `Solver`: the paper has none."""
+        """See `Solver`; the paper has no shear."""

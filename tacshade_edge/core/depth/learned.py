@@ -1,8 +1,8 @@
-"""The learned inverse of the physical model: white of the image and of the unloaded skin to height and contact.
+"""Compute height and contact from the white of the image and the unloaded skin by a learned inverse.
 
 The network is trained on simulated sensors alone (tools/training). It sees every sensor on the same square of cells
-(`core.geometry.disc_map`) and is given what is known of it; its heights are in tenths of the disc's radius. How it is
-run is the caller's choice (`inference.network` takes ONNX Runtime).
+(`core.geometry.disc_map`), with what is known of it; its heights are in tenths of the disc's radius. The caller chooses
+how to run it (`inference.network` uses ONNX Runtime).
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, Geometry, freeze
 
-# On a skin of 20 mm the training presses end at 6.5 mm; what is deeper reads 6.2 to 6.9.
+# On a skin of 20 mm the training presses end at 6.5 mm; deeper ones read 6.2 to 6.9.
 DEEPEST_RADII = 0.31
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inverse:
-    """What the network makes of a frame, at the map's cells.
+    """The network's result for a frame, at the map's cells.
 
     Attributes
     ----------
     height_mm : float32 (cells, cells)
-        h; a little below 0 at times where nothing touches.
+        Height h; sometimes slightly below 0 without contact.
     contact_logit : float32 (cells, cells)
         Log odds that the skin touches an object.
     untrusted_logit : float32 (M, M)
-        Log odds that a cell, of fewer and wider ones, shows something else than this sensor's skin.
+        Log odds that a cell (fewer and wider ones) shows something other than this sensor's skin.
     """
 
     height_mm: F32
@@ -47,7 +47,7 @@ class Inverse:
 
 
 class LearnedInverse:
-    """The network, prepared for one sensor.
+    """A network prepared for one sensor.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LearnedInverse:
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (cells, cells), 0 to 1
-        White of the unloaded skin, on `disc_map.map_grid`.
+        Share of white of the unloaded skin, on `disc_map.map_grid`.
     """
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -64,7 +64,7 @@ class LearnedInverse:
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32, features: Features | None = None) -> Inverse:
-        """Run it on a frame's white, float32 (cells, cells), 0 to 1; its features are appended where asked for."""
+        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
         n = self._network.fold
         folded = fold(white[None], n)
         if features is None or self._network.run_touch is None:
@@ -77,18 +77,18 @@ class LearnedInverse:
 
 
 class LearnedSolver:
-    """The inverse refitted to the sensor, and the contact that it finds, on the network's own cells.
+    """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's cells.
 
     Parameters
     ----------
     preprocessor : Preprocessor
     network : Network
-        ValueError where it is missing.
+        ValueError if None.
 
     Attributes
     ----------
     reference : float32 (cells, cells), 0 to 1
-        White of the unloaded skin, as the network is given it.
+        Share of white of the unloaded skin, as the network receives it.
     """
 
     has_shear = True
@@ -102,22 +102,22 @@ class LearnedSolver:
         self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
         self.reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, self.reference)
-        # Prepared here, so that no frame waits for it when somebody asks.
+        # Prepared here, so that no frame waits for it.
         shear = network.shear
         whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
         self._shear_cells = CellMeans(preprocessor.integrator, whole)
         at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
         self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
-        # A fitted network was trained to the truth itself.
+        # A fitted network was trained on the truth itself and needs no factor.
         self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
     def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
-        """What the network makes of an image, not refitted: for calibration."""
+        """The network's result for an image without the refit, for calibration."""
         return self._inverse(self.white(preprocessed), features)
 
     def white(self, preprocessed: Preprocessed) -> F32:
-        """What the network is given of an image, not folded: float32 (cells, cells), 0 to 1."""
+        """The network's input for an image before folding: float32 (cells, cells), 0 to 1."""
         return self._cells.means(preprocessed.white)
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
@@ -149,7 +149,7 @@ class LearnedSolver:
 
 
 def untrusted_cells(inverse: Inverse, cells: int) -> Bool:
-    """Where a frame shows something else than the sensor's skin, bool (cells, cells)."""
+    """Cells where a frame shows something other than the sensor's skin: bool (cells, cells)."""
     untrusted: Bool = inverse.untrusted_logit > 0
     each = cells // len(untrusted)
     return untrusted.repeat(each, axis=0).repeat(each, axis=1)

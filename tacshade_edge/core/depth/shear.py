@@ -1,7 +1,7 @@
-"""Shear of the skin along itself: a network of its own, trained as that of depth is (`learned`).
+"""Compute the skin's tangential shear by a separate network, trained like that of depth (`learned`).
 
-It is run beside depth where somebody asks, one for all profiles, and shares nothing with depth, whose few channels are
-all needed for depth.
+It runs in addition to depth on request, one for all profiles, and shares nothing with the network of depth, which needs
+all its few channels for depth.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class LearnedShear:
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (N, N), 0 to 1
-        White of the unloaded skin, on `disc_map.map_grid`.
+        Share of white of the unloaded skin, on `disc_map.map_grid`.
     """
 
     def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -34,15 +34,15 @@ class LearnedShear:
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
-        """Shear along x and y, float32 (cells, cells, 2) on as many cells as are asked for, finite.
+        """Compute shear along x and y in mm: float32 (cells, cells, 2), finite.
 
         Parameters
         ----------
         white : float32 (N, N), 0 to 1
-            Of a frame.
+            Share of white of a frame.
         cells : int
         features : list, optional
-            Those of the frame are appended.
+            Receives the frame's features.
         """
         folded = fold(white[None], self._network.fold)
         if features is None or self._network.run_touch is None:

@@ -1,13 +1,13 @@
-"""How far off a height is: one standard deviation for every cell of a contact.
+"""Predict the standard deviation of the height at every cell of a contact.
 
-A log-linear model of what a network itself reports, fitted on simulated sensors of two families
-(tools/training/fit_sigma.py), times a scale of the sensor, which its presses show
+A log-linear model of the network's own outputs, fitted on simulated sensors of two families
+(tools/training/fit_sigma.py), times the sensor's error scale, which its presses show
 (`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm,
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
 
-the slope ∇h by Sobel's differences over the disc seen flat, l_c the log odds of contact between -2 and 8, l_f those of
-an untrusted cell between -12 and 0. Errors are no Gaussian ones: σ is what makes ±1.645 σ hold 90 % of them, by
+the slope ∇h by Sobel differences over the disc seen flat, l_c the log odds of contact between -2 and 8, l_f those of an
+untrusted cell between -12 and 0. Errors are not Gaussian: σ is the value for which ±1.645 σ holds 90 % of them, by
 quantile regression (Koenker and Bassett, Econometrica 46, 1978).
 """
 
@@ -25,7 +25,7 @@ from tacshade_edge.types import F32, Bool, Geometry
 TERMS = ("constant", "height", "slope", "contact", "untrusted")
 """Names of the x_i."""
 INTERVAL_90 = 1.645
-"""Half of the 90 % interval, in σ."""
+"""Half width of the 90 % interval, in σ."""
 _NOMINAL_RADIUS_MM = 20.0
 _LEAST_HEIGHT_MM = 0.1
 _STEEPEST = 2.0
@@ -34,22 +34,22 @@ _CONTACT_RANGE, _UNTRUSTED_RANGE = (-2.0, 8.0), (-12.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SigmaModel:
-    """The errors of a network. Scale 1 is what sensors of the family that it was trained on have in the mean.
+    """The errors of a network. Scale 1 is the mean of sensors of the family that it was trained on.
 
     Attributes
     ----------
     weights : tuple of float
-        Of `TERMS`.
+        Weights of `TERMS`.
     scale_without_presses : float
-        Of a sensor of which nothing is known but its references: that of the other family.
+        Error scale of a sensor with only references: that of the other family.
     press_offset, press_slope : float
-        Of a sensor whose presses are off by q σ of scale 1 (`core.calibration.refit.error_scale`):
-        log scale = press_offset + press_slope · log q.
+        For a sensor with presses off by q σ of scale 1 (`core.calibration.refit.error_scale`): log scale = press_offset
+        + press_slope · log q.
 
     Raises
     ------
     ValueError
-        A number too many or too few, not finite, or a scale that is not above 0.
+        The number of weights is wrong, a number is not finite, or the scale is not above 0.
     """
 
     weights: tuple[float, ...]
@@ -64,22 +64,22 @@ class SigmaModel:
 
 
 def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry) -> F32:
-    """The x_i of some cells, float32 (N, len(TERMS)), finite.
+    """The x_i of the chosen cells, float32 (N, len(TERMS)), finite.
 
     Parameters
     ----------
     height_mm : float32 (cells, cells)
-        h on `disc_map.map_grid`, finite and not below 0; NaN or 0 outside the disc.
+        Height h on `disc_map.map_grid`, finite and not below 0; NaN or 0 outside the disc.
     contact_logit : float32 (cells, cells)
     untrusted_logit : float32 (M, M)
     where : bool (cells, cells)
-        The cells.
+        The chosen cells.
     geometry : Geometry
     """
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
     first_row, first_col = max(top - 1, 0), max(left - 1, 0)
-    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)  # with the neighbours of each
+    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)  # with each cell's neighbours
     near, chosen = np.nan_to_num(height_mm[box], nan=0.0), where[box]
     along, across = (
         cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE)[chosen]
@@ -99,17 +99,17 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
 
 
 def sigma_of_scale_1(model: SigmaModel, x: F32, geometry: Geometry) -> F32:
-    """σ in mm of cells with these `terms`, for a sensor of scale 1: float32 (N,)."""
-    # No matmul: BLAS leaves floating-point flags of lanes that it only pads with, and NumPy warns of them.
+    """σ in mm at cells with these `terms`, for a sensor of scale 1: float32 (N,)."""
+    # No matmul: BLAS sets floating-point flags in lanes of padding, and NumPy warns of them.
     sigma: F32 = np.exp((x * np.array(model.weights, np.float32)).sum(axis=1)) * np.float32(_size(geometry))
     return sigma
 
 
 def _size(geometry: Geometry) -> float:
-    """The k above."""
+    """The k of the module's equation."""
     return geometry.skin_radius_mm / _NOMINAL_RADIUS_MM
 
 
 def _within(logit: F32, low_high: tuple[float, float]) -> F32:
-    """What is not finite counts as the end of more doubt where untrusted, of contact where touching."""
+    """Clip log odds to a range; NaN counts as its upper end (more doubt for untrusted, contact for contact)."""
     return np.clip(np.nan_to_num(logit, nan=low_high[1]), *low_high)

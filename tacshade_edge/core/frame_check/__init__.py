@@ -1,1 +1,1 @@
-"""Whether a frame can be used: light, torn frames, a camera that shifted."""
+"""Check whether a frame can be used: light, torn frames, a shifted camera."""

@@ -1,4 +1,4 @@
-"""What blocks of 8x8 px show beside the reference's: markers lost, other light, another surround."""
+"""Compare blocks of 8x8 px with the reference's: lost markers, other light, another surround."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from tacshade_edge.core.image.median import median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
 
-# Three halvings make a block's mean; the first look at a frame lets two of them round.
+# Three halvings make a block's mean; the first check of a frame lets two of them round.
 BLOCK_PX, HALVINGS, ROUNDED = 8, 3, 2
-# A block of the reference with at least this contrast has markers; rows across the disc cannot lose them all.
+# A block of the reference with at least this contrast has markers; whole rows of the disc cannot lose them all.
 TEXTURED_STD = 8.0
 LOST_STD = 3.0
 LOST_PART = 0.95
 LOST_ROWS = 2
 ROW_BLOCKS = 8
-# Blocks of the surround never change but with the light; half of this many levels is noise. It begins so many radii
-# from the disc's middle: a soft tip that sways carries its markers past the edge.
+# Blocks of the surround change only with the light; half of this many levels is noise. It begins at this many radii
+# from the disc's middle, because a soft tip that sways carries its markers past the edge.
 SURROUND_FROM = 1.1
 SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
-# Blocks of the surround with less grey than this do not show how much light there is; a thresholded picture has many.
+# Blocks of the surround below this grey do not show the amount of light; a thresholded image has many.
 LIT_LEVEL = 4.0
-# The light may change by so much before the binarised image cannot be compared with the reference's.
+# Beyond this change of light, the binarised image cannot be compared with the reference's.
 LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
 
 Box = tuple[slice, slice]
@@ -37,28 +37,28 @@ Places = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCheck:
-    """The reference in blocks of 8x8 px, of which the pixels `box` are (rows, cols).
+    """The reference in (rows, cols) blocks of 8x8 px, which cover the pixels `box`.
 
     Attributes
     ----------
     textured : bool (rows, cols)
-        Wholly inside the disc, with markers.
+        Blocks wholly inside the disc, with markers.
     lost_most : float64 (rows,)
-        How many textured blocks of a row may lose their markers; infinite for rows with few.
+        Number of textured blocks of each row that may lose their markers; infinite for rows with few.
     lost_fewest : float
-        With no more lost blocks in all, there are not `LOST_ROWS` such rows.
+        With at most this many lost blocks in all, fewer than `LOST_ROWS` rows can exceed theirs.
     textured_at, surround_at : intp (n,)
-        Flat places of the textured blocks, and of those wholly outside near the disc.
+        Flat indices of the textured blocks, and of blocks wholly outside but near the disc.
     common : float
-        Median of the means of the textured blocks, at least 1.
+        Median of the textured blocks' means, at least 1.
     surround : float32 (n,)
         Means of the blocks of the surround.
     lit_at : intp (m,)
-        Which of those show the light.
+        Indices of those that show the light.
     per_lit : float32 (m,)
-        1 over their means.
+        Reciprocals of their means.
     camera_px : int
-        A pixel here is so many of the camera's, in which reasons are given.
+        Width of a pixel here in the camera's pixels, in which reasons are given.
     """
 
     box: Box
@@ -78,7 +78,7 @@ class BlockCheck:
 
 
 def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:
-    """Prepare the check from the mean reference image; None when no block lies inside the disc."""
+    """Prepare the check from the mean reference image; None if no block lies inside the disc."""
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
         np.arange(reference_grey.shape[0] // BLOCK_PX)[:, None] * BLOCK_PX + middle - disc.row_c,
@@ -98,7 +98,7 @@ def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockChec
     surround_at = np.flatnonzero(surround)
     usual: F32 = level.take(surround_at)
     lit_at = np.flatnonzero(usual >= LIT_LEVEL)
-    # Where most of a row's blocks are flat already, a contact may well hide the others.
+    # If most of a row's blocks are already flat, a contact may well hide the others.
     lost_most = np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf)
     return BlockCheck(
         box=box,
@@ -120,7 +120,7 @@ def _pixels(blocks: slice) -> slice:
 
 
 def block_reasons(grey: U8, check: BlockCheck, rounded: int) -> tuple[Reason | None, Reason | None]:
-    """Lost markers, and other light or surround; with `rounded` halvings both are found in too many frames."""
+    """Reasons for lost markers, and for other light or surround; `rounded` above 0 finds both in too many frames."""
     level, variance = block_means(grey[check.box], rounded)
     slack = rounded / 2
     lost = _lost_reason(variance, check, slack)
@@ -128,20 +128,20 @@ def block_reasons(grey: U8, check: BlockCheck, rounded: int) -> tuple[Reason | N
 
 
 def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
-    """Mean and variance of 8x8 blocks, from means of 2x2 px of which the first are rounded to whole grey levels.
+    """Mean and variance of 8x8 blocks from repeated means of 2x2 px, the first `rounded` ones in whole grey levels.
 
     Parameters
     ----------
     grey : uint8 (8 rows, 8 cols)
     rounded : int
-        How many halvings round, 0 to 2; each errs by at most half a level.
+        Number of halvings that round, 0 to 2; each errs by at most half a level.
 
     Returns
     -------
     mean : float32 (rows, cols)
         Within `rounded` / 2 levels.
     variance : float32 (rows, cols)
-        Of what the rounded halvings left: its root is at most `rounded` / 2 levels over the pixels' deviation.
+        Variance after the rounded halvings: its root is at most `rounded` / 2 levels above the pixels' deviation.
     """
     for _ in range(rounded):
         grey = halved(grey)
@@ -153,7 +153,7 @@ def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
 
 
 def light_reason(found: float) -> Reason:
-    """Of a light that is `found` times the reference's."""
+    """Reason for a light that is `found` times the reference's."""
     return Reason(ReasonCode.LIGHT, f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}")
 
 
@@ -171,7 +171,7 @@ def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> Reason | Non
 
 def _bright_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:
     levels = level.take(check.textured_at)
-    # Half of them are over a limit if their median is.
+    # If the median exceeds the limit, so does half of them.
     if 2 * np.count_nonzero(levels > np.float32(0.999 * (LIGHT_HIGH * check.common - slack))) < levels.size:
         return None
     common = (median(levels) + slack) / check.common
@@ -179,19 +179,19 @@ def _bright_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None
 
 
 def _surround_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:
-    """Blocks of the surround that cannot be, within `slack` levels, what the reference shows there in today's light."""
+    """Reason for blocks of the surround that differ, beyond `slack`, from the reference in today's light, if any."""
     usual = check.surround
     if not usual.size:
         return None
     found = level.take(check.surround_at)
     low, high = found - slack, found + slack
-    # The surround's own light: a contact changes the brightness of the whole disc.
+    # Use the surround's own light, because a contact changes the brightness of the whole disc.
     lit = check.lit_at
     gains = (median(end[lit] * check.per_lit) if lit.size else 1.0 for end in (low, high))
     least, most = (min(max(gain, LIGHT_LOW), LIGHT_HIGH) for gain in gains)
     brighter = np.count_nonzero(high - (1.25 * least) * usual > SURROUND_LEVELS)
     darker = np.count_nonzero(np.minimum((0.75 * most) * usual, 0.75 * 255) - low > SURROUND_LEVELS)
-    part = (brighter + darker) / usual.size  # with no slack none is both
+    part = (brighter + darker) / usual.size  # without slack, no block is both
     if part <= SURROUND_PART:
         return None
     text = f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"

@@ -1,4 +1,4 @@
-"""How far the camera moved since the reference: what explains a picture that is not the sensor's skin where it was."""
+"""Measure the camera's shift since the reference, to explain an image that does not show the skin in its place."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32
 
-# Between these the frame is the reference elsewhere. One pixel along both axes (1.4) is let pass: it changes depths by
-# a few per cent. Further than half a pitch the pattern looks like itself again.
+# Between these limits the frame is a shifted reference. One pixel along both axes (1.4) passes: it changes depths by a
+# few per cent. Beyond half a pitch the pattern looks like itself again.
 LEAST_PX, MOST_PITCHES = 1.8, 0.6
-# How sharply frame and reference must agree on it: a shifted camera without contact gives 0.6 and more, a contact under
-# which most of the pattern shifts 0.43 at most (800 presses of 13 objects on 8 sensors).
+# Least response of the correlation: a shifted camera without contact gives 0.6 or more, a contact that shifts most of
+# the pattern at most 0.43 (800 presses of 13 objects on 8 sensors).
 LEAST_RESPONSE = 0.5
 
 
@@ -24,9 +24,9 @@ class CameraShift:
     Parameters
     ----------
     reference : float32 (cells, cells), 0 to 1
-        White of the unloaded skin.
+        Share of white of the unloaded skin.
     cell_px, pitch_px : float
-        In the camera's pixels.
+        Cell width and marker pitch in the camera's pixels.
     """
 
     def __init__(self, reference: F32, cell_px: float, pitch_px: float) -> None:
@@ -36,12 +36,12 @@ class CameraShift:
         self._most_px = MOST_PITCHES * pitch_px
 
     def reason(self, cells: F32) -> Reason | None:
-        """Why an image cannot be compared with the reference; None when the camera is where it was.
+        """Why an image cannot be compared with the reference; None if the camera has not moved.
 
         Parameters
         ----------
         cells : float32 (cells, cells), 0 to 1
-            White of the image.
+            Share of white of the image.
         """
         (cols, rows), response = cv2.phaseCorrelate(self._reference, cells, self._window)
         shift_px = math.hypot(rows, cols) * self._cell_px

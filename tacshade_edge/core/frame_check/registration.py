@@ -1,9 +1,9 @@
-"""How far a sensor has drifted from its reference image: a moved camera, other light, a blurred lens.
+"""Measure a sensor's drift from its reference image: a moved camera, other light, a blurred lens.
 
-One measure for references, presses, a new reference and `doctor`. It is taken where the pattern moves as one piece, so
-a press, which moves only some of it, does not count as drift: a coarse shift by phase correlation (Kuglin and Hines
-1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC, Fischler
-and Bolles 1981).
+References, presses, new references and `doctor` share this measure. It uses the part of the pattern that moves as one
+piece, so a press, which moves only some of it, does not count as drift: a coarse shift by phase correlation (Kuglin and
+Hines 1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC,
+Fischler and Bolles 1981).
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ import numpy as np
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, freeze
 
-# Points are tracked on a lattice of this pitch inside this part of the disc, each in a window of so many pitches.
+# Pitch of the lattice of tracked points, the part of the disc that holds them, and the window of each, in pitches.
 _POINT_PITCHES, _RHO_MAX, _WINDOW_PITCHES = 1.0, 0.95, 2.0
-# A point belongs to the piece when it lies so near to where the common motion puts it.
+# A point belongs to the piece if it lies this near to its place by the common motion.
 _INLIER_PX = 0.5
-# With fewer points, or a smaller part of all, nothing can be said.
+# Fewer points, or a smaller part of all, measure nothing.
 _LEAST_POINTS, _LEAST_PART = 20, 0.2
-# Beyond so much of the disc's radius the geometry is wrong; below, a shift of the centre, and what turn and zoom move
-# besides (a deep press alone looks like 1 px of them), are worth a word.
+# Beyond this part of the disc's radius the geometry is wrong; a smaller shift of the centre, or movement with turn and
+# zoom (of which a deep press alone imitates 1 px), is worth a warning.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
-# Light that is compensated, its unevenness and a blur that are not seen in good presses (calibration-checks.md).
+# Range of light that is compensated, and limits of unevenness and blur beyond all good presses (calibration-checks.md).
 LIGHT_LOW, LIGHT_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """What a sensor looked like, prepared for comparing.
+    """The appearance of a sensor, prepared for comparison.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class Look:
     disc : Disc
     pitch_px : float
     points : float32 (N, 2)
-        Column and row of what is tracked.
+        Column and row of the tracked points.
     level, contrast : float32 (H, W)
-        Mean and standard deviation of the grey around each pixel.
+        Local mean and standard deviation of the grey at each pixel.
     """
 
     grey: U8
@@ -59,23 +59,23 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What changed.
+    """The change of an image since the reference.
 
     Attributes
     ----------
     still_part : float
-        Part of the pattern that moved as one piece, 0 to 1; 0: nothing could be measured, and all else is neutral.
+        Part of the pattern that moved as one piece, 0 to 1; if 0, nothing was measured and all else is neutral.
     moved_px : float
-        The most that a point of the visible circle moved: by shift, turn and zoom together.
+        Greatest movement of a point of the visible circle by shift, turn and zoom together.
     row_px, col_px : float
-        The shift of its centre.
+        Shift of the circle's centre.
     turn_deg, zoom : float
     light : float
-        Brightness over the reference's, a ratio.
+        Ratio of the brightness to the reference's.
     uneven : float
-        How much that ratio varies over the disc (standard deviation of its logarithm).
+        Standard deviation of the ratio's logarithm over the disc.
     contrast : float
-        Contrast over the reference's, beyond what the light explains, a ratio: below 1 is blur.
+        Ratio of the contrast to the reference's, beyond the effect of the light: below 1 is blur.
     """
 
     still_part: float = 0.0
@@ -90,7 +90,7 @@ class Drift:
 
     @property
     def shift_px(self) -> float:
-        """How far the centre of the visible circle moved."""
+        """Distance that the centre of the visible circle moved, px."""
         return math.hypot(self.row_px, self.col_px)
 
 
@@ -115,13 +115,13 @@ def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
 
 
 def drift(reference: Look, grey: U8) -> Drift:
-    """Compare an image with a reference, contact or not.
+    """Compare an image with a reference, with or without contact.
 
     Parameters
     ----------
     reference : Look
     grey : uint8 (H, W)
-        As large as the reference.
+        Image of the reference's size.
     """
     if len(reference.points) < _LEAST_POINTS or grey.shape != reference.grey.shape:
         return Drift()
@@ -170,7 +170,7 @@ def drift(reference: Look, grey: U8) -> Drift:
 
 
 def shift_reason(found: Drift, disc: Disc) -> Reason | None:
-    """How the camera moved against the skin; None when it did not, as far as can be measured."""
+    """Reason that the camera moved relative to the skin; None if no movement was measured."""
     if found.shift_px <= SHIFT_PART * disc.radius_px and found.moved_px <= RIM_PART * disc.radius_px:
         return None
     turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
@@ -179,12 +179,12 @@ def shift_reason(found: Drift, disc: Disc) -> Reason | None:
 
 
 def shifted_too_far(found: Drift, disc: Disc) -> bool:
-    """Whether the visible circle is no longer where it was calibrated."""
+    """Whether the visible circle is too far from its calibrated place."""
     return found.moved_px > SHIFTED_PART * disc.radius_px
 
 
 def light_drift_reason(found: Drift) -> Reason | None:
-    """How light or focus changed; None when they did not, or so little that it is compensated."""
+    """Reason that light or focus changed; None if the change is small enough to be compensated."""
     changes = []
     if not LIGHT_LOW <= found.light <= LIGHT_HIGH:
         changes.append(f"{found.light:.2f} times the light")
@@ -196,7 +196,7 @@ def light_drift_reason(found: Drift) -> Reason | None:
 
 
 def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:
-    """Mean and standard deviation around each pixel, over whole markers."""
+    """Local mean and standard deviation at each pixel, over whole markers."""
     side = max(int(_WINDOW_PITCHES * pitch_px) | 1, 7)
     values = grey.astype(np.float32)
     mean = cv2.blur(values, (side, side))
@@ -205,7 +205,7 @@ def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:
 
 
 def _coarse_shift(reference: Look, grey: U8) -> F32:
-    """Column and row shift of the whole disc, to a fraction of a pitch: print errors distinguish two pitches."""
+    """Column and row shift of the whole disc, to a fraction of a pitch, px: print errors distinguish whole pitches."""
     disc, side = reference.disc, int(1.2 * reference.disc.radius_px)
     top, left = max(round(disc.row_c) - side, 0), max(round(disc.col_c) - side, 0)
     cut = (slice(top, round(disc.row_c) + side), slice(left, round(disc.col_c) + side))
@@ -216,7 +216,7 @@ def _coarse_shift(reference: Look, grey: U8) -> F32:
 
 
 def _light(reference: Look, grey: U8, before: F32, after: F32) -> tuple[float, float, float]:
-    """Light, its unevenness, and contrast, each over the reference's, where the pattern stood still."""
+    """Ratio of light, its unevenness, and ratio of contrast to the reference's, where the pattern stood still."""
     level, contrast = _statistics(grey, reference.pitch_px)
     old, new = (tuple(np.rint(points).astype(int).T[::-1]) for points in (before, after))
     height, width = grey.shape

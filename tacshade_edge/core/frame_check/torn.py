@@ -1,4 +1,4 @@
-"""Where two frames meet in one image: a row of the disc that does not continue the rows above."""
+"""Find where two frames meet in one image: a row of the disc that does not continue the rows above."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tacshade_edge.core.image.median import median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Bool, freeze
 
-# A row that differs from the next by this much more than its neighbours do, in medians of all rows, and more than the
-# reference's does, is where two frames meet (good frames reach 1.9).
+# Two frames meet at a row that differs from the next by this much more than its neighbours do, in medians of all rows,
+# and more than in the reference (good frames reach 1.9).
 SPIKE = 2.1
 ROW_PX = 60
 BANDS, BAND_SPIKE = 4, 0.5
@@ -21,20 +21,20 @@ BANDS, BAND_SPIKE = 4, 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """The disc's n rows of at least ROW_PX that have a next one.
+    """The disc's n rows of at least ROW_PX pixels that have a next row.
 
     Attributes
     ----------
     first, last : int
-        The last is the first that is none of them.
+        First row, and the row after the last.
     edges : ints (BANDS + 1,)
-        Of the bands of columns.
+        Edges of the bands of columns.
     mask : uint8 (n, w)
-        255 in the disc, from the first edge to the last.
+        255 inside the disc, from the first edge to the last.
     width_px : float32 (BANDS + 1, n)
-        Pixels of each row in each band and in all, at least 1.
+        Pixels of each row in each band and in all bands, at least 1.
     step : uint8 (n, w)
-        Space for `_spikes` to work in.
+        Work space of `_spikes`.
     """
 
     first: int
@@ -50,7 +50,7 @@ class _Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TearCheck:
-    """The disc's long rows, and the `_spikes` that the reference has already."""
+    """The disc's long rows, and the `_spikes` of the reference."""
 
     rows: _Rows
     usual: F32
@@ -60,11 +60,11 @@ class TearCheck:
 
 
 def tear_check(reference_grey: U8, mask: Bool) -> TearCheck | None:
-    """Prepare the check from the mean reference image and the disc's mask; None with fewer than 8 long rows."""
+    """Prepare the check from the mean reference image and the disc's mask; None for fewer than 8 long rows."""
     long = np.flatnonzero(mask[:-1].sum(axis=1) >= ROW_PX)
     if long.size < 8:
         return None
-    first, last = int(long[0]), int(long[-1]) + 1  # a disc's long rows follow each other
+    first, last = int(long[0]), int(long[-1]) + 1  # a disc's long rows are contiguous
     columns = np.flatnonzero(mask.any(axis=0))
     edges = tuple(np.linspace(columns[0], columns[-1] + 1, BANDS + 1).astype(int).tolist())
     widths = [mask[first:last, left:right].sum(axis=1) for left, right in pairwise(edges)]
@@ -75,7 +75,7 @@ def tear_check(reference_grey: U8, mask: Bool) -> TearCheck | None:
 
 
 def torn_reason(grey: U8, check: TearCheck | None, camera_px: int) -> Reason | None:
-    """Why a frame is torn, in rows of the camera, of which a pixel here is so many; None for one that is not."""
+    """Reason that a frame is torn, None if it is not; `camera_px` is a pixel's height in the camera's rows."""
     row = torn_row(grey, check) if check else None
     if row is None:
         return None
@@ -83,20 +83,20 @@ def torn_reason(grey: U8, check: TearCheck | None, camera_px: int) -> Reason | N
 
 
 def torn_row(grey: U8, check: TearCheck) -> int | None:
-    """Row that the next does not continue; the first and last two long rows cannot be judged."""
+    """The row that the next does not continue, or None; the first and last two long rows cannot be judged."""
     over = _spikes(grey, check.rows, SPIKE) - check.usual
     at = int(np.argmax(over))
     return check.rows.first + 2 + at if over[at] > SPIKE else None
 
 
 def _spikes(grey: U8, rows: _Rows, least: float) -> F32:
-    """How much every row of the disc differs from the next beside its neighbours, over the median of all rows.
+    """Difference of every row of the disc from the next, less that of its neighbours, over the median of all rows.
 
     Returns
     -------
     float32 (n - 4,)
-        Without the first and last two rows, which lack neighbours. 0 for what is not over `least`, and where fewer
-        than three of four bands of columns agree: a contact's edge may follow a row, but not across the disc.
+        Without the first and last two rows, which lack neighbours. 0 where not above `least`, and where fewer than
+        three of four bands of columns agree: a contact's edge may follow a row, but not across the disc.
     """
     first, last, left = rows.first, rows.last, rows.edges[0]
     disc = grey[first : last + 1, left : rows.edges[-1]]
@@ -114,7 +114,7 @@ def _spikes(grey: U8, rows: _Rows, least: float) -> F32:
 
 
 def _over_neighbours(step: U8, width_px: F32) -> F32:
-    """Mean step of each row over that of the two rows before and after, in medians of all rows."""
+    """Mean step of each row less that of the two rows before and after, in medians of all rows."""
     mean = cv2.reduce(step, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0] / width_px
     around = (mean[:-4] + mean[1:-3] + mean[3:-1] + mean[4:]) / 4
     return np.asarray((mean[2:-2] - around) / (median(mean) + 1), np.float32)

@@ -1,17 +1,17 @@
-"""How far a preprocessed frame is to be trusted: glare, and a change of light or focus."""
+"""Judge how far to trust a preprocessed frame, by glare and a change of light or focus."""
 
 from __future__ import annotations
 
 from tacshade_edge.reasons import Reason, ReasonCode
 
-# A common change of g larger than the first is a doubt; beyond the second the frame is another picture.
+# A common change of g above the first degrades a frame; above the second the frame is another image.
 DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
-# With more of the disc under glare than this, the rest says too little.
+# With more of the disc under glare than this, the rest shows too little.
 UNSEEN_INVALID = 0.4
 
 
 def invalid_reason(unseen: float, drift_grey: float) -> Reason | None:
-    """Why a frame cannot be used; None for one that can.
+    """Why a frame cannot be used; None if it can.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def invalid_reason(unseen: float, drift_grey: float) -> Reason | None:
 
 
 def degraded_reason(unseen: float, drift_grey: float) -> Reason | None:
-    """Why the result of a frame that can be used deserves less trust; parameters as of `invalid_reason`."""
+    """Why a valid frame is degraded; None if it is not. The parameters are those of `invalid_reason`."""
     if abs(drift_grey) > DRIFT_LEVELS:
         return _light_drift(drift_grey)
     return _glare(unseen) if unseen > 0 else None

@@ -1,6 +1,6 @@
-"""Whether a frame shows the untouched skin of a frame before it, so that nothing needs to be looked at again.
+"""Check whether a frame shows the untouched skin of an earlier frame, which saves checking it again.
 
-A free skin is what most frames show, and all of what is checked and thresholded in one comes out as in the last.
+Most frames show free skin, and all checks and thresholds then give the previous result.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types import U8
 
 LEVELS = 8.0
-"""What camera noise of 2 levels may change in the brightest of all pixels: means of 2x2 px differ by 6 at most, four
-deviations. A press that grows by a few hundredths of a millimetre changes more, so none is felt later than without."""
+"""Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6, four deviations. A
+press that grows by a few hundredths of a millimetre changes more, so no contact is found later."""
 
 
 class UnchangedSkin:
-    """The latest untouched skin that was judged in full; frames are compared with that one, so changes add up.
+    """The latest untouched skin checked in full. Frames are compared with that one, so slow changes add up.
 
     Parameters
     ----------
     check : FrameCheck
-        What it looks at is what has to be unchanged.
+        The pixels that it uses must be unchanged.
     halved : bool
-        The images are halved ones already.
+        Whether the images are already halved.
 
     Attributes
     ----------
     degraded : Reason or None
-        Why that frame was degraded.
+        Why that frame was degraded; None if it was not.
     """
 
     def __init__(self, check: FrameCheck, halved: bool) -> None:
@@ -46,16 +46,16 @@ class UnchangedSkin:
         self.degraded: Reason | None = None
 
     def shown_in(self, grey: U8) -> bool:
-        """Whether an image, uint8 (H, W), shows it."""
+        """Whether an image, uint8 (H, W), shows the same untouched skin."""
         if self._kept is None:
             return False
         return cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= LEVELS
 
     def keep(self, grey: U8, degraded: Reason | None) -> None:
-        """Remember an image, uint8 (H, W), that was judged to be valid and without contact."""
+        """Remember an image, uint8 (H, W), that was found valid and without contact."""
         shown = self._looked_at(grey)
-        self._kept, self.degraded = shown.copy() if shown.size else None, degraded  # nothing of some tiny pictures
+        self._kept, self.degraded = shown.copy() if shown.size else None, degraded  # some tiny images leave nothing
 
     def _looked_at(self, grey: U8) -> U8:
-        """What is compared: of the halved image, since a camera's noise is half as large there."""
+        """The pixels to compare, from the halved image, since the camera's noise is half as large there."""
         return (grey if self._halved else halved_image(grey))[self._box]

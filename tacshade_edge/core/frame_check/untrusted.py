@@ -1,4 +1,4 @@
-"""Does a frame show the sensor's skin, however it is deformed? What the network cannot explain as that is untrusted."""
+"""Check that a frame shows the sensor's skin, however deformed: cells that the network cannot explain are untrusted."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Bool
 
 UNTRUSTED_INVALID = 0.15
-"""With more of the disc in untrusted rows than this the frame is torn or another picture; all else is a doubt."""
+"""Part of the disc in untrusted rows above which a frame is torn or another image; below, it is degraded."""
 
 UNTRUSTED_UNLEARNT = 0.10
-"""With more of its disc untrusted, in whatever cells, a press is not learnt from."""
+"""Part of the disc in untrusted cells above which a press is not learnt from."""
 
 UNTRUSTED_ROW = 0.6
-"""A row with more untrusted cells than this part is untrusted. Two pictures meet in a row, but a skin that the network
-does not know, deep, tilted or dragged, is untrusted in patches."""
+"""Part of a row's cells above which the row is untrusted. Two images meet in a row, but a skin that the network does
+not know, deep, tilted or dragged, is untrusted in patches."""
 
 UNTRUSTED_SURE = 3.0
-"""Log odds from which on a cell counts for that: what a skin that the network does not know shows is doubtful, what
-another picture shows is not."""
+"""Log odds above which a cell is certainly untrusted: those of an unknown skin are lower, those of another image
+higher."""
 
 LEAST_ROW_CELLS = 8
-"""A row of fewer cells in the disc, of 112, has no say."""
+"""Least number of a row's cells in the disc, of 112, for the row to count."""
 
 
 class UntrustedCheck:
-    """Why the frames of one sensor are refused that show something else than its skin.
+    """Rejects frames of one sensor that show something other than its skin.
 
     Parameters
     ----------
     preprocessor : Preprocessor
-        Whose images are checked.
+        Preprocessor of the images to check.
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
@@ -46,15 +46,15 @@ class UntrustedCheck:
         self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
 
     def invalid_reason(self, untrusted_logit: F32 | None, inside: Bool, white: IntegralImage) -> Reason | None:
-        """Why a frame cannot be used; None for one that can.
+        """Why a frame cannot be used; None if it can.
 
-        A frame is refused that may be untrusted in too many rows and is the reference, shifted; and one that surely is
-        untrusted in so many.
+        A frame is invalid if too many rows may be untrusted and it is a shifted reference, or if that many rows are
+        certainly untrusted.
 
         Parameters
         ----------
         untrusted_logit : float32 (M, M) or None
-            `Depth.untrusted_logit`; None where the solver reports nothing.
+            `Depth.untrusted_logit`; None if the solver reports none.
         inside : bool (rows, cols)
             The disc.
         white : IntegralImage
@@ -75,26 +75,26 @@ class UntrustedCheck:
         return Reason(ReasonCode.TORN, text)
 
     def moved(self, white: IntegralImage) -> Reason | None:
-        """Whether a picture that is not as it was, though nothing is found to touch, is the reference, shifted."""
+        """Reason that an image is a shifted reference; None if it is not."""
         return self._shift.reason(self._cells.means(white))
 
 
 def degraded_reason(untrusted: Bool | None, inside: Bool) -> Reason | None:
-    """Why a frame deserves less trust some of whose disc is untrusted; None where none is, or no solver reports it."""
+    """Why untrusted cells degrade a frame; None if it has none, or the solver reports none."""
     if untrusted is None or not (part := untrusted_part(untrusted, inside)):
         return None
     return Reason(ReasonCode.UNTRUSTED, f"{100 * part:.1f} % of the disc does not show the sensor's skin")
 
 
 def untrusted_part(untrusted: Bool, inside: Bool) -> float:
-    """Part of the disc that is untrusted, 0 of a disc without cells; bool (rows, cols) both."""
+    """Part of the disc that is untrusted, 0 for a disc without cells; both arrays are bool (rows, cols)."""
     return float(np.count_nonzero(untrusted & inside) / max(int(np.count_nonzero(inside)), 1))
 
 
 def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) -> float:
-    """Part of the disc in rows that are untrusted across it, in cells of more than the `least` log odds.
+    """Part of the disc in rows that are untrusted across it, counting cells above the `least` log odds.
 
-    0 as above; float32 (M, M), bool (rows, cols).
+    0 for a disc without cells; `untrusted_logit` is float32 (M, M), `inside` bool (rows, cols).
     """
     coarse: Bool = untrusted_logit > least
     if not coarse.any():

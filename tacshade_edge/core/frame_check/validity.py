@@ -1,7 +1,7 @@
-"""Whether a frame can be used at all, before any solver sees it.
+"""Check whether a frame can be used at all, before any solver sees it.
 
-This runs on every frame. So each check first asks something cheap that no bad frame passes: a count of pixels over a
-limit in place of a median, blocks of rounded means in place of the pixels. What does not pass is worked out in full.
+This runs on every frame, so each check starts with a cheap test that no bad frame passes: a count of pixels above a
+limit instead of a median, blocks of rounded means instead of the pixels. Frames that fail it are checked in full.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from tacshade_edge.core.image.median import percentile
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
 
-# A camera that works never shows a disc this dark or this flat (grey levels), or half as flat as its own reference.
+# A working camera never shows a disc this dark or this flat (grey levels), or with half its reference's deviation.
 BLACK_LEVEL = 12.0
 FLAT_STD, FLAT_OVER_REFERENCE = 4.0, 0.5
 SATURATED_LEVEL = 250
 SATURATED_PART = 0.25
-# Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise, or
-# so fine a pattern that the reference itself comes near it.
+# Median difference of neighbouring pixels: flat places of the pattern keep it near the noise; for a finer pattern, the
+# limit is relative to the reference's.
 NOISE_STEP = 9.0
 NOISE_OVER_REFERENCE = 5.0
 
-# The brightest tenth of the disc, or less where less is bright, shows how much light there is.
+# The brightest tenth of the disc, or less if less is bright, shows the amount of light.
 BRIGHT_PART = 0.1
 
 Box = tuple[slice, slice]
@@ -44,37 +44,37 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCheck:
-    """What a good frame of one sensor looks like.
+    """The properties of a good frame of one sensor.
 
     Attributes
     ----------
     shape : two ints
         Rows and columns of every frame.
     disc : two slices
-        Pixels around the disc, from multiples of 8, with the one left of it where the image has it.
+        Pixels around the disc, starting at multiples of 8, with one to its left if the image has it.
     mask : uint8 (h, w)
-        255 inside the disc, among the pixels `disc`.
+        255 inside the disc, for the pixels `disc`.
     inside_px : int
-        How many those are.
+        Number of pixels inside.
     pairs, sampled : uint8
-        Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` and `sampled_px` is how many pixels.
+        The mask for `_steps` and for `_sample` of a frame; `pairs_px` and `sampled_px` are the numbers of pixels.
     flat_std : float
-        A disc of less deviation is black or flat, grey levels.
+        Deviation in grey levels below which a disc is black or flat.
     step : float
         Median difference of the reference's neighbouring pixels.
     saturated_part : float
-        Part of the disc that may be saturated: more than the reference's by `SATURATED_PART`, for pictures that come
+        Part of the disc that may be saturated: the reference's plus `SATURATED_PART`, for images that arrive
         thresholded.
     bright_part : float
-        Part of its disc that shows its light: half of what is bright by Otsu's level (1979), at most a tenth.
+        Part of the disc that shows the light: half of the part above Otsu's level (1979), at most a tenth.
     bright : float
-        Grey that so much of its disc exceeds, at least 1.
+        Grey level that this part of the disc exceeds, at least 1.
     tear : TearCheck or None
-        Of an unloaded skin only: rows of a pattern along the camera's rows, pressed, look torn.
+        For an unloaded skin only: a pressed pattern along the camera's rows looks torn.
     blocks : BlockCheck or None
-        None when no block lies inside the disc.
+        None if no block lies inside the disc.
     camera_px : int
-        A pixel here is so many of the camera's, in which reasons are given.
+        Width of a pixel here in the camera's pixels, in which reasons are given.
     """
 
     shape: tuple[int, int]
@@ -101,7 +101,7 @@ class FrameCheck:
 def frame_check(
     reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1, *, unloaded: bool = False
 ) -> FrameCheck:
-    """Prepare the check from the mean reference image; `unloaded`: nothing touches the skin in what is checked."""
+    """Prepare the check from the mean reference image; `unloaded` if nothing touches the skin in the checked images."""
     box = _around(mask)
     reference, inside = reference_grey[box], np.where(mask[box], np.uint8(255), np.uint8(0))
     pairs, sampled = np.ascontiguousarray(inside[::8, 1:]), _sample(inside)
@@ -134,13 +134,13 @@ def sensor_check(calibration: Calibration, camera_px: int = 1, *, unloaded: bool
 
 
 def _around(mask: Bool) -> Box:
-    """Pixels around a mask and left of it; from multiples of 8, so that `_steps` and `_sample` take the image's own."""
+    """Pixels around a mask and left of it, starting at multiples of 8 so that `_steps` and `_sample` stay aligned."""
     rows, cols = (np.flatnonzero(mask.any(axis=axis)).tolist() or [0, -1] for axis in (1, 0))
     return slice(rows[0] // 8 * 8, rows[-1] + 1), slice(max(cols[0] - 1, 0) // 8 * 8, cols[-1] + 1)
 
 
 def invalid_reason(grey: U8, check: FrameCheck) -> Reason | None:
-    """Why a frame cannot be used; None for a good one.
+    """Why a frame cannot be used; None if it can.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def invalid_reason(grey: U8, check: FrameCheck) -> Reason | None:
 
 
 def picture_reason(grey: U8, check: FrameCheck) -> Reason | None:
-    """`invalid_reason` of an image whose size is known to be right."""
+    """`invalid_reason` of an image of the right size."""
     if check.inside_px == 0:
         return Reason(ReasonCode.NO_DISC, "disc: no pixel of the visible circle lies in the image")
     disc = grey[check.disc]
@@ -161,7 +161,7 @@ def picture_reason(grey: U8, check: FrameCheck) -> Reason | None:
 
 
 def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
-    """Whether an image, (H, W) or (H, W, 3), has other than the calibrated rows and columns; None when it has those."""
+    """Reason that an image, (H, W) or (H, W, 3), lacks the calibrated size; None if it has it."""
     if image.shape[:2] == shape:
         return None
     text = f"size: found {image.shape[1]}x{image.shape[0]} px, expected the calibration's {shape[1]}x{shape[0]} px"
@@ -169,10 +169,10 @@ def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
 
 
 def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
-    """What the disc's own pixels show: saturated, black, flat, noise."""
+    """Reason from the disc's pixels alone: saturated, black, flat or noise; None if none."""
     pixels = check.inside_px
     mean, square = (cv2.norm(disc, kind, check.mask) / pixels for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
-    if square > check.saturated_part * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
+    if square > check.saturated_part * SATURATED_LEVEL**2:  # that many saturated pixels alone exceed this
         bright = _count_from(disc, check.mask, SATURATED_LEVEL)
         if bright > check.saturated_part * pixels:
             text = f"saturated: {100 * bright / pixels:.0f} % of the disc is at grey level {SATURATED_LEVEL} or above"
@@ -192,7 +192,7 @@ def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
 
 
 def _count_from(grey: U8, mask: U8, level: float) -> int:
-    """How many pixels of a mask (255 inside) are at least at a level."""
+    """The number of pixels in a mask (255 inside) at or above a level."""
     bright = cv2.threshold(grey, math.ceil(level) - 1, 255, cv2.THRESH_BINARY)[1]
     return cv2.countNonZero(cv2.bitwise_and(bright, mask))
 
@@ -214,7 +214,7 @@ def _sample(disc: U8) -> U8:
 
 
 def _bright_part(sample: U8, sampled: U8) -> float:
-    """Half of the part of the disc over Otsu's level, at most a tenth: pins may cover a twentieth of it."""
+    """Half of the part of the disc above Otsu's level, at most a tenth: pins may cover a twentieth of it."""
     inside = sample[sampled > 0].reshape(-1, 1)
     if not inside.size:
         return BRIGHT_PART
@@ -228,7 +228,7 @@ def _bright(sample: U8, sampled: U8, part: float) -> float:
 
 
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:
-    """What the reference shows: torn, shifted, other light."""
+    """Reason by comparison with the reference: torn, shifted or other light; None if none."""
     dark = _dark_reason(disc, check)
     torn = torn_reason(grey, check.tear, check.camera_px)
     if not blocks.textured_at.size:
@@ -241,8 +241,8 @@ def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) 
 
 
 def _dark_reason(disc: U8, check: FrameCheck) -> Reason | None:
-    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those show
-    # less light. More light saturates them; there the common level shows it.
+    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light, and show when
+    # it falls. More light saturates them; then the common level shows it.
     sample, sampled = _sample(disc), check.sampled
     if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= check.bright_part * check.sampled_px + 2:
         return None

@@ -1,1 +1,1 @@
-"""Where a pixel looks: the visible disc, its grids and rays, and back-projection onto the skin."""
+"""The visible disc, its grids and rays, and back-projection of pixels onto the skin."""

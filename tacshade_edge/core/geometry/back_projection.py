@@ -1,4 +1,4 @@
-"""Eq. 2: the skin point that a pixel sees, from the radial deformation there."""
+"""Compute the skin point that a pixel sees from the radial deformation there, eq. 2."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
-    """x, y and z of the skin along the camera's rays, one after the other.
+    """x, y and z of the skin along the camera's rays, as separate planes.
 
-    The paper's eq. 2 gives z from (x, y) under an orthographic camera. A pinhole's ray meets the sphere of
-    radius r - h twice; the skin is the farther root. A radicand below zero (a height that its ray cannot
-    reach) is taken as 0, the nearest point that the ray has to the sphere.
+    The paper's eq. 2 gives z from (x, y) under an orthographic camera. A pinhole's ray meets the sphere of radius r - h
+    twice; the skin is the farther root. A radicand below zero (a height that its ray cannot reach) counts as 0, which
+    gives the ray's point nearest to the sphere.
 
     Parameters
     ----------
     height_mm : float32 (...)
-        h, at most r; NaN stays NaN.
+        Height h, at most r; NaN stays NaN.
     rays : DiscRays
         With the shape of `height_mm`.
     geometry : Geometry
@@ -44,7 +44,7 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
         d = np.float32(geometry.camera_distance_mm)
         slope2 = u * u + v * v
         k = 1 + slope2
-        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0; solved so that no d² is taken from another.
+        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0; solved without subtracting d² terms.
         root = np.sqrt(np.maximum(k * (rho * rho) - d * d * slope2, np.float32(0)))
         s = (d + root) / k
         np.divide(root - d * slope2, k, out=z)
@@ -54,12 +54,12 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
-    """Cells whose rays pass nearest to points of the skin: the inverse of `skin_points` without the heights.
+    """Find the cells whose rays pass nearest to points of the skin: the inverse of `skin_points` without the heights.
 
     Parameters
     ----------
     points_mm : float32 (N, 3)
-        In the sensor frame; those outside the grid are nobody's.
+        In the sensor frame; points outside the grid are ignored.
     grid : Grid
     geometry : Geometry
 
@@ -69,7 +69,7 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
     """
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a point beside the lens is nobody's either
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a point next to the lens is ignored too
         px_per_mm = np.full_like(z, 1.0 / geometry.mm_per_px) if d_mm is None else geometry.f_px / (z + d_mm)
         i = np.rint((geometry.disc.row_c + y * px_per_mm - grid.row0) / grid.step_px)
         j = np.rint((geometry.disc.col_c + x * px_per_mm - grid.col0) / grid.step_px)
@@ -80,20 +80,20 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:
-    """Area of skin that each cell of a grid of points stands for.
+    """Compute the area of skin that each cell of a grid of points covers.
 
     Parameters
     ----------
     planes_mm : float32 (3, rows, cols)
-        Of `skin_planes`.
+        From `skin_planes`.
 
     Returns
     -------
     float32 (rows, cols)
-        By central differences; 0 where a neighbour is NaN.
+        mm², by central differences; 0 where a neighbour is NaN.
     """
     along, across = (_steps(planes_mm, axis) for axis in (2, 1))
-    # Component i of a cross product is of the components i + 1 and i + 2.
+    # Component i of a cross product combines components i + 1 and i + 2.
     normal = along[1:4] * across[2:5]
     normal -= along[2:5] * across[1:4]
     normal *= normal
@@ -102,17 +102,17 @@ def cell_area_mm2(planes_mm: F32) -> F32:
 
 
 def _steps(planes: F32, axis: int) -> F32:
-    """Differences of neighbours along an axis as of ``np.gradient``, which takes four times as long.
+    """Differences of neighbours along an axis like ``np.gradient``, which takes four times as long.
 
     Returns
     -------
     float32 (5, rows, cols)
-        Of x, y, z, x, y.
+        Differences of x, y, z, x, y.
     """
     steps = np.zeros((5, *planes.shape[1:]), np.float32)
     lines, out = planes.swapaxes(0, axis), steps[:3].swapaxes(0, axis)
     if len(lines) > 1:
-        # In one run through memory, across the ends too, where the one-sided differences then go.
+        # One pass through memory, also across the ends, which the one-sided differences then overwrite.
         flat, along, by = planes.reshape(-1), steps[:3].reshape(-1), (planes.shape[2] if axis == 1 else 1)
         np.subtract(flat[2 * by :], flat[: -2 * by], out=along[by:-by])
         along *= np.float32(0.5)

@@ -16,7 +16,7 @@ Value = TypeVar("Value", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """The part of an image that is worked on: `rows` from `row0` on, `cols` from `col0` on."""
+    """The working part of an image: `rows` from `row0` on, `cols` from `col0` on."""
 
     row0: int
     col0: int
@@ -25,7 +25,7 @@ class Window:
 
     @classmethod
     def of_disc(cls, height_px: int, width_px: int, disc: Disc) -> Window:
-        """The least window that holds the disc's part in the image; at least one pixel."""
+        """The smallest window around the disc's part in the image; at least one pixel."""
         row0, rows = _span(disc.row_c, disc.radius_px, height_px)
         col0, cols = _span(disc.col_c, disc.radius_px, width_px)
         return cls(row0, col0, rows, cols)
@@ -53,7 +53,7 @@ class Grid:
 
     @classmethod
     def of_window(cls, window: Window, step_px: int) -> Grid:
-        """Cells in the middle of each whole stride of the image, where that lies in the window; at least one cell."""
+        """Cells in the middle of each whole stride of the image that lie in the window; at least one cell."""
         row0, rows = _cells(window.row0, window.rows, step_px)
         col0, cols = _cells(window.col0, window.cols, step_px)
         return cls(rows=rows, cols=cols, row0=float(row0), col0=float(col0), step_px=float(step_px))
@@ -69,7 +69,7 @@ def _cells(first: int, size: int, step: int) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscRays:
-    """Where each cell of a grid looks.
+    """The ray of each cell of a grid.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class DiscRays:
         freeze(self, "inside", "u", "v")
 
     def part(self, cells: tuple[slice, slice]) -> DiscRays:
-        """The rays of some rows and columns of the grid."""
+        """The rays of a range of rows and columns of the grid."""
         return DiscRays(inside=self.inside[cells], u=self.u[cells], v=self.v[cells])
 
 
@@ -105,10 +105,10 @@ def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
 
 
 def cells_in_image(grid: Grid, height_px: int, width_px: int) -> Bool:
-    """Cells of a grid whose middle some pixel covers: bool (rows, cols)."""
+    """Cells of a grid with their middle inside the image: bool (rows, cols)."""
     rows = grid.row0 + grid.step_px * np.arange(grid.rows)
     cols = grid.col0 + grid.step_px * np.arange(grid.cols)
-    # Pixel i reaches from i - 0.5 to i + 0.5.
+    # Pixel i spans i - 0.5 to i + 0.5.
     seen: Bool = (np.abs(rows - (height_px - 1) / 2) <= height_px / 2)[:, None] & (
         np.abs(cols - (width_px - 1) / 2) <= width_px / 2
     )[None, :]
@@ -116,7 +116,7 @@ def cells_in_image(grid: Grid, height_px: int, width_px: int) -> Bool:
 
 
 def radius_squared(grid: Grid, disc: Disc) -> F32:
-    """ρ² of every cell, ρ the distance from the disc's centre in its radii."""
+    """ρ² of every cell, with ρ the distance from the disc's centre in its radii."""
     rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
     cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
     rho2: F32 = ((rows * rows + cols * cols) / disc.radius_px**2).astype(np.float32)
@@ -124,7 +124,7 @@ def radius_squared(grid: Grid, disc: Disc) -> F32:
 
 
 def disc_rays(grid: Grid, geometry: Geometry) -> DiscRays:
-    """Rays of the design's camera for every cell of `grid`."""
+    """The camera's ray for every cell of `grid`."""
     rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - geometry.disc.row_c
     cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - geometry.disc.col_c
     inside = rows * rows + cols * cols <= geometry.disc.radius_px**2

@@ -8,28 +8,28 @@ from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.types import F32, Disc, Geometry
 
 CELLS = 112
-"""Cells along a side, where nothing else is said."""
+"""Default number of cells along a side."""
 
 REACH = 1.02
 """Half the square's side, in radii of the disc."""
 
 
 def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
-    """The cells of the map as a grid of image positions (their middles; not whole pixels)."""
+    """The cells of the map as a grid of image positions (their middles, which need not be whole pixels)."""
     step = 2 * REACH * disc.radius_px / cells
     first = (0.5 - cells / 2) * step
     return Grid(rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
-    """What is known of a sensor at each cell before any frame.
+    """Compute what is known of a sensor at each cell before any frame.
 
     Returns
     -------
     float32 (6, cells, cells)
-        Position x and y in disc radii; how far the image of a skin point moves in x and in y, in disc radii, when
-        the point moves by one disc radius (in mm) towards the camera along its axis; cosine between the camera's ray
-        and the undeformed skin's normal; marker pitch in tenths of the disc's radius.
+        Position x and y in disc radii; shift in x and y of the image of a skin point that moves by one disc radius (in
+        mm) towards the camera along its axis, in disc radii; cosine between the camera's ray and the undeformed skin's
+        normal; marker pitch in tenths of the disc's radius.
     """
     disc = geometry.disc
     axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
@@ -43,7 +43,7 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
         d = geometry.camera_distance_mm / geometry.skin_radius_mm
         slope2 = rho2 * (geometry.disc.radius_px / geometry.f_px) ** 2
         k = 1 + slope2
-        # In skin radii: the ray's far meeting with the sphere, z + d along the axis from the camera.
+        # The ray's far intersection with the sphere, as z + d along the axis from the camera, in skin radii.
         root = np.sqrt(np.maximum(d * d - k * (d * d - 1), 0))
         along = (d + root) / k
         gain = sin_half / along

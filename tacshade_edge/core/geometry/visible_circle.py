@@ -1,4 +1,4 @@
-"""The visible circle in an image: how much of its rim is seen, and the one through three points of the rim."""
+"""Measure how much of the visible circle's rim is in an image, and fit the circle through three points of the rim."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Disc
 
 LEAST_RIM_SEEN = 0.25
-"""At least this part of the rim lies in the image; less is the pattern's end at the image's own border."""
+"""Least part of the rim in the image; with less, the pattern ends at the image's own border."""
 
 LEAST_RADIUS_PX = 33.0
-"""Two thirds of an image of 100 px. In a smaller circle the pitch of the markers cannot be measured."""
+"""Least radius, two thirds of an image of 100 px: a smaller circle does not show the markers' pitch."""
 
 LEAST_APART = 0.5
-"""In radii, of three points from each other: an error of one of them moves the rim at most eight times as far."""
+"""Least distance between any two of the points, in radii: an error of one moves the rim at most eight times as far."""
 
 _RAYS = 1440
-# Beside the greatest product of coordinates, twice the area of a triangle that rounding leaves of a line.
+# Twice the area of a triangle that rounding makes of a line, relative to the greatest squared side.
 _LINE = 1e-9
 
 
 def rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
-    """Part of a circle, 0 to 1, that lies in an image of a shape (rows, cols)."""
+    """Part of a circle's rim, 0 to 1, that lies in an image of a shape (rows, cols)."""
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
     return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
 
 
 def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, ...]) -> Disc:
-    """The visible circle, from three points of its rim.
+    """Compute the visible circle from three points of its rim.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
                 f"three points: found row {row:g}, col {col:g}, expected a point inside {shape[1]}x{shape[0]} px"
             )
     (row0, col0), (row1, col1), (row2, col2) = points_px
-    # From the first point: less is lost to rounding.
+    # Relative to the first point, to lose less to rounding.
     r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
     twice_area = r1 * c2 - c1 * r2
     if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):

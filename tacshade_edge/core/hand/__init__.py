@@ -1,1 +1,1 @@
-"""What several fingers say together of the object that they hold."""
+"""Combine several fingers' contacts into the motion of the object that they hold."""

@@ -1,12 +1,12 @@
-"""The rigid motion of an object while the same patches of skin hold it: weighted least squares.
+"""Fit the rigid motion of an object while the same patches of skin hold it, by weighted least squares.
 
-Skin that sticks moves with the object. Its finger sees two parts of that motion as shear, at right angles to the
-finger's axis z, and one as depth, along the patch's normal n: with d the motion of the object's point at the patch,
+Skin that sticks moves with the object. Its finger sees two components of that motion as shear, at right angles to the
+finger's axis z, and one as depth, along the patch's normal n. With d the motion of the object's point at the patch,
 
     (1 - z zᵀ) d = shear - shear_0          n · d = -(depth - depth_0)          a · ω = twist - twist_0
 
-where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points that lie in a plane of normal n.
-Between two instants n is the mean of both: exact for a plane and for a ball on a ball.
+where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points in a plane of normal n. Between
+two instants n is the mean of both, which is exact for a plane and for a ball on a ball.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from tacshade_edge.rigid import Rigid, turn
 from tacshade_edge.types import F64
 
 LEVER_MM: Final = 20.0
-"""A rotation counts as the way of a point so far from its axis."""
+"""Distance from the axis of the point whose travel measures a rotation."""
 SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2
-"""Standard deviation of a change of shear, along each axis, and what each mm that the patch moved adds: by what fingers
-of a simulated hand reported of pictures, whose skins slid in part (`tools.studies.object_motion --drawn`)."""
+"""Standard deviation of a change of shear along each axis, and its increase per mm that the patch moved, from fingers
+of a simulated hand on images, with skins that slid in part (`tools.studies.object_motion --drawn`)."""
 DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5
-"""The same of a change of depth; it grows over the first 1.5 mm only."""
+"""The same for a change of depth, which grows only over the first 1.5 mm."""
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
-"""A direction in which the motion would be less sure, after each patch moved by `NOMINAL_MM`, is not observed."""
+"""A direction is unobserved if its standard deviation would exceed this after each patch moved by `NOMINAL_MM`."""
 NOMINAL_MM: Final = 2.0
 UNKNOWN_SD_MM: Final = 50.0
-"""Stated where nothing is observed."""
-_STEPS, _CONVERGED_MM = 5, 0.02  # of which the square over the lever is left
-_STEEPEST = 0.2  # n · z of a contact that far off the tip that no camera sees it
+"""Standard deviation reported for unobserved directions."""
+_STEPS, _CONVERGED_MM = 5, 0.02  # its square over the lever remains as error
+_STEEPEST = 0.2  # n · z of a contact so far off the tip that no camera sees it
 _EYE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Where a motion begins.
+    """The beginning of a motion.
 
     Attributes
     ----------
     start : Patches
-        At its beginning.
+        The patches at the beginning.
     middle_mm : float64 (3,)
-        Mean place of these.
+        Mean place of these patches.
     observed, unobserved : float64 (6, k), (6, 6 - k)
-        Directions at right angles, of unit length, of a small motion about the middle: three of translation, three of
-        rotation times `LEVER_MM`.
+        Orthonormal directions of a small motion about the middle: three components of translation, three of rotation
+        times `LEVER_MM`.
     """
 
     start: Patches
@@ -67,10 +67,10 @@ class LinkMotion:
     ----------
     rotation : float64 (3, 3)
     translation_mm : float64 (3,)
-        Of the link's middle.
+        Translation of the link's middle.
     covariance : float64 (6, 6)
-        Of a small motion after it, about the moved middle: translation in mm, rotation in rad; without what is not
-        observed.
+        Of a small motion after it, about the moved middle: translation in mm, rotation in rad; without unobserved
+        directions.
     """
 
     rotation: F64
@@ -78,7 +78,7 @@ class LinkMotion:
     covariance: F64
 
     def rigid(self, middle_mm: F64) -> Rigid:
-        """Of all points of the hand's frame."""
+        """The motion as a transform of all points of the hand's frame."""
         return Rigid(self.rotation, middle_mm + self.translation_mm - self.rotation @ middle_mm)
 
 
@@ -86,7 +86,7 @@ AT_REST: Final = LinkMotion(_EYE, np.zeros(3), np.zeros((6, 6)))
 
 
 def begin(start: Patches) -> Link:
-    """Begin a motion here, with the directions that these patches will show."""
+    """Begin a motion at these patches, and find the directions that they will show."""
     count = len(start.depth_mm)
     middle_mm = start.place_mm.mean(axis=0) if count else np.zeros(3)
     weights = _weights(start, start.normal, np.full(count, NOMINAL_MM))
@@ -100,7 +100,7 @@ def begin(start: Patches) -> Link:
 
 
 def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
-    """Fit the motion to the same patches now, in the same order, by Gauss-Newton on SE(3) from the last one found."""
+    """Fit the motion to the same patches now, in the same order, by Gauss-Newton on SE(3) from a first guess."""
     directions = link.observed
     if not directions.shape[1]:
         return guess
@@ -110,7 +110,7 @@ def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
     steep = np.maximum((normal * now.axis).sum(axis=1), _STEEPEST)
     along_mm = -(sunk_mm + (normal * shear_mm).sum(axis=1)) / steep
     moved_mm = shear_mm + along_mm[:, None] * now.axis
-    # The material that touches now, where it was in the beginning: a contact that rolls goes on over the object.
+    # Place at the beginning of the material that touches now, because a rolling contact moves over the object.
     was_mm = now.place_mm - moved_mm - link.middle_mm
     weights = _weights(now, normal, np.sqrt((moved_mm**2).sum(axis=1)))
     twisted_rad = now.twist_rad - start.twist_rad
@@ -125,7 +125,7 @@ def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
         rows = _jacobian(is_mm) @ directions
         weighted = weights @ rows
         twist_rest = twisted_rad - axes @ _small_vector(rotation) * LEVER_MM
-        # Of a contact that has turned over so that it shows a direction no more, as little is known as of others.
+        # The damping keeps a direction defined that a contact no longer shows after turning over.
         information = _normal(rows, weighted) + twist_rows.T @ twist_rows + damping
         gradient = rest_mm.ravel() @ weighted.reshape(-1, weighted.shape[2]) + twist_rest @ twist_rows
         covariance = np.linalg.inv(information)
@@ -140,7 +140,7 @@ def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
 
 
 def _weights(patches: Patches, normal: F64, far_mm: F64) -> F64:
-    """Information (n, 3, 3) on the motion at each patch that moved so far."""
+    """Information (n, 3, 3) on the motion at each patch, given how far it moved."""
     z = patches.axis
     of_shear = (SHEAR_SD_MM + SHEAR_SD_PART * far_mm) ** -2
     of_depth = (DEPTH_SD_MM + DEPTH_SD_PART * np.minimum(far_mm, DEPTH_SD_FAR_MM)) ** -2
@@ -151,13 +151,13 @@ def _weights(patches: Patches, normal: F64, far_mm: F64) -> F64:
 
 
 def _twist_axes(patches: Patches, normal: F64) -> F64:
-    """What a rotation, times the lever, adds to each twist, in its standard deviations: (n, 3)."""
+    """The change of each twist, in its standard deviations, with a rotation times the lever: (n, 3)."""
     steep = np.maximum((normal * patches.axis).sum(axis=1), _STEEPEST)
     return np.asarray((patches.axis + normal / steep[:, None]) * (0.5 / (LEVER_MM * TWIST_SD_RAD)))
 
 
 def _jacobian(arms_mm: F64) -> F64:
-    """What a small motion about the middle does to points so far from it: (n, 3, 6)."""
+    """Jacobian of points, given relative to the middle, by a small motion about the middle: (n, 3, 6)."""
     rows = np.zeros((len(arms_mm), 3, 6))
     rows[:, 0, 0] = rows[:, 1, 1] = rows[:, 2, 2] = 1.0
     x, y, z = (arms_mm / LEVER_MM).T
@@ -168,12 +168,12 @@ def _jacobian(arms_mm: F64) -> F64:
 
 
 def _normal(rows: F64, weighted: F64) -> F64:
-    """Sum of rowsᵀ weighted over all patches."""
+    """The sum of rowsᵀ · weighted over all patches."""
     size = rows.shape[2]
     return np.asarray(rows.reshape(-1, size).T @ weighted.reshape(-1, size))
 
 
 def _small_vector(rotation: F64) -> F64:
-    """Rotation vector, times the sine over its length: a link's motion is small."""
+    """The rotation vector times its sine over its length, which is close enough because a link's motion is small."""
     m = rotation
     return 0.5 * np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))

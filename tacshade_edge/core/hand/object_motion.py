@@ -1,8 +1,8 @@
-"""How a held object has moved since it was grasped, from the skin that sticks to it.
+"""Estimate the motion of a held object since it was grasped, from the skin that sticks to it.
 
-All patches are taken to be of one object, and the fingers to stand still in the hand. While the same patches stick, the
-motion is fitted anew to what has changed since that link's beginning, so that nothing adds up at rest. When a patch
-joins, leaves or begins to slip, the motion so far is kept and the next link begins with the patches that stick then.
+All patches are assumed to belong to one object, and the fingers to stand still in the hand. While the same patches
+stick, each fit uses the change since that link's beginning, so that nothing accumulates at rest. When a patch joins,
+leaves or begins to slip, the motion so far is kept, and the next link begins with the patches that then stick.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
 from tacshade_edge.types import F64, freeze
 
 UNSEEN_MM_S: Final = 10.0
-"""The deviation of an unobserved direction grows so fast, up to `UNKNOWN_SD_MM`, in what a link leaves to the next: by
-29 degrees/s. Where one finger touches a frame before the others, the object has not turned far unseen."""
+"""Growth of the deviation of an unobserved direction, up to `UNKNOWN_SD_MM`, that a link passes to the next: 29
+degrees/s. If one finger touches a frame before the others, the object has not turned far unseen."""
 REST_SHARE: Final = 0.1
-"""So much of the covariance of a link without motion is left to the next: both see the same error of the instant that
-is between them, each with the other sign, and it is left only as far as they weigh it otherwise."""
+"""Part of its covariance that a link without motion passes to the next: both see the same error of the instant between
+them with opposite signs, so only the difference of their weights remains."""
 RECENTRED_MM: Final = 0.1
-"""The point whose translation is reported is put amid the patches that hold, as long as that changes it by less."""
+"""The reported translation is that of a point amid the holding patches, if the change of point changes it by less."""
 GAIN_SD: Final = 0.2
-"""Relative error of all fingers' shear together: skins of one make follow an object by the same part."""
+"""Relative error common to all fingers' shear: skins of one make follow an object by the same part."""
 FARTHEST_LINE_MM: Final = 200.0
-"""A rotation about a line farther off is a translation to a hand."""
+"""A rotation about a line farther away counts as a translation."""
 _SCALE = np.array([1.0] * 3 + [LEVER_MM] * 3)
 
 
@@ -53,7 +53,7 @@ class Unobserved:
     axis : 3 floats
         Unit vector.
     through_mm : 3 floats or None
-        A point of the line; None: a translation.
+        A point of the line; None for a translation.
     """
 
     axis: tuple[float, float, float]
@@ -62,22 +62,22 @@ class Unobserved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMotion:
-    """A point p of the hand's frame that the object had when it was grasped is at R (p - about) + about + translation.
+    """A point of the object at p in the hand's frame at the grasp is now at R (p - about) + about + translation.
 
     Attributes
     ----------
     since_ns : int
-        When it was grasped.
+        Time of the grasp.
     about_mm : float64 (3,)
         A point amid the patches.
     translation_mm : float64 (3,)
-        Of that point.
+        Translation of that point.
     rotation_rad : float64 (3,)
         Rotation vector of R.
     covariance : float64 (6, 6)
-        Of translation in mm and a small rotation after R in rad.
+        Covariance of the translation in mm and a small rotation after R in rad.
     unobserved : tuple of Unobserved
-        What is in the covariance with a large deviation, and 0 in the motion.
+        Motions with a large deviation in the covariance, and 0 in the motion.
     """
 
     since_ns: int
@@ -91,20 +91,20 @@ class ObjectMotion:
         freeze(self, "about_mm", "translation_mm", "rotation_rad", "covariance")
 
     def rigid(self) -> Rigid:
-        """Of all points of the hand's frame."""
+        """The motion as a transform of all points of the hand's frame."""
         rotation = turn(self.rotation_rad).rotation
         return Rigid(rotation, self.about_mm + self.translation_mm - rotation @ self.about_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """The chain up to a link, the link, and what was seen last."""
+    """The chain of motions up to a link, the link, and the last patches."""
 
     since_ns: int
     about_mm: F64
     base: Rigid
     spread: F64
-    """Covariance of the base: of a small motion after it, about the hand's origin, in mm and rad."""
+    """Covariance of the base, of a small motion after it about the hand's origin, in mm and rad."""
     keys: tuple[str, ...]
     link: Link
     began_ns: int
@@ -115,13 +115,13 @@ class _State:
 
 
 class ObjectTracker:
-    """Follows the object that a hand holds."""
+    """Tracks the object that a hand holds."""
 
     def __init__(self) -> None:
         self._state: _State | None = None
 
     def step(self, t_ns: int, patches: Mapping[str, Patch]) -> ObjectMotion | None:
-        """Take all patches at a time, by a key that each keeps while it touches; None when nothing touches."""
+        """Take all patches at a time, by a key that each keeps while it touches; return None if nothing touches."""
         if not patches:
             self._state = None
             return None
@@ -133,7 +133,7 @@ class ObjectTracker:
             if stick.keys() != set(state.keys):
                 both = [key for key in state.keys if key in stick]
                 rows = [state.keys.index(key) for key in both]
-                # What moved since the last instant shows in the patches that stuck all along.
+                # The motion since the last instant shows in the patches that still stick.
                 state = _next_link(state, tuple(both), _picked(state.seen, rows))
                 state = _seen(state, t_ns, stick)
                 state = _next_link(state, tuple(stick), stack(list(stick.values())))
@@ -153,7 +153,7 @@ def _grasped(t_ns: int, stick: Mapping[str, Patch]) -> _State:
 
 
 def _next_link(state: _State, keys: tuple[str, ...], start: Patches) -> _State:
-    """Keep the motion so far, and begin another link where these patches are at the time of the last."""
+    """Keep the motion so far, and begin another link at these patches."""
     link = begin(start)
     base = state.motion.rigid(state.link.middle_mm) @ state.base
     unseen_mm = min(UNKNOWN_SD_MM, UNSEEN_MM_S * (state.seen_ns - state.began_ns) / 1e9)
@@ -193,7 +193,7 @@ def _spread(state: _State, unseen_mm: float, share: float) -> F64:
 
 
 def _moved_to(place_mm: F64) -> F64:
-    """What gives a small motion about the origin as one about another place: its translation is that of this place."""
+    """The matrix (6, 6) that converts a small motion about the origin to one about another place."""
     x, y, z = place_mm.tolist()
     change = np.eye(6)
     change[:3, 3:] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
@@ -201,7 +201,7 @@ def _moved_to(place_mm: F64) -> F64:
 
 
 def _unobserved(state: _State) -> tuple[Unobserved, ...]:
-    """What the link and those before it leave in the dark."""
+    """The motions that the link and those before it do not show."""
     link = state.link
     change = _moved_to(link.middle_mm)
     before = change @ state.spread @ change.T * np.outer(_SCALE, _SCALE)
@@ -210,7 +210,7 @@ def _unobserved(state: _State) -> tuple[Unobserved, ...]:
 
 
 def _line(direction: F64, middle_mm: F64) -> Unobserved:
-    """The line of a small motion about the middle: patches that stand still are on it, so it is hardly a screw."""
+    """The line of a small motion about the middle: resting patches lie on it, so it is hardly a screw."""
     translation_mm, rotation = direction[:3], direction[3:] / LEVER_MM
     size = float(np.linalg.norm(rotation))
     far_mm, along_mm = float(np.linalg.norm(translation_mm)), abs(float(translation_mm @ rotation))

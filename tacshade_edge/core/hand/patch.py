@@ -19,19 +19,19 @@ class Patch:
     Attributes
     ----------
     place_mm : 3 floats
-        Mean of its points.
+        Mean place of its points.
     normal : 3 floats
-        Unit normal, out of the finger and into the object.
+        Unit normal, from the finger into the object.
     axis : 3 floats
-        The finger's z axis, to which shear is at right angles and about which twist is measured.
+        The finger's z axis: shear is perpendicular to it, and twist is about it.
     shear_mm : 3 floats
         Mean shear of its skin.
     depth_mm : float
         Greatest h.
     twist_deg : float or None
-        None: the contact is too small for one.
+        None if the contact is too small.
     slips : bool
-        The object slides over it.
+        Whether the object slides over it.
     """
 
     place_mm: Triple
@@ -45,12 +45,12 @@ class Patch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Several as arrays, one row each: `place_mm`, `normal`, `axis`, `shear_mm` (n, 3), the others (n,).
+    """Several patches as arrays, one row each: `place_mm`, `normal`, `axis`, `shear_mm` (n, 3), the others (n,).
 
     Attributes
     ----------
     twist_rad : float64 (n,)
-        NaN where it is unknown.
+        NaN if unknown.
     """
 
     place_mm: F64
@@ -62,7 +62,7 @@ class Patches:
 
 
 def stack(patches: Sequence[Patch]) -> Patches:
-    """As arrays."""
+    """Convert patches to arrays."""
     rows = np.array(
         [
             (*p.place_mm, *p.normal, *p.axis, *p.shear_mm, p.depth_mm, np.nan if p.twist_deg is None else p.twist_deg)

@@ -1,1 +1,1 @@
-"""From an image to the white ratio and its maps: binarisation, integral images, denoising."""
+"""Compute the white ratio and its maps from an image: binarisation, integral images, denoising."""

@@ -1,4 +1,4 @@
-"""Black and white of a tactile image, Fig. 4(b): in uint8, into buffers that stay."""
+"""Binarise tactile images, Fig. 4(b), in uint8 and reused buffers."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from tacshade_edge.types import F32, U8, Binarisation
 A = TypeVar("A", U8, F32)
 
 ADAPTIVE_PITCHES = 4
-"""The adaptive threshold looks this many marker pitches wide: wide enough to hold black and white everywhere, narrow
-enough to follow vignetting."""
+"""Side of the adaptive threshold's neighbourhood in marker pitches: wide enough to hold black and white everywhere,
+narrow enough to follow vignetting."""
 
 ADAPTIVE_FLOOR = 0.6
-"""Below this part of the disc's mean grey nothing is white, however dark its surroundings."""
+"""Part of the disc's mean grey below which nothing is white, however dark its surroundings."""
 
-# The threshold is a little more than the mean: a plain surface is black, however the products round.
+# The threshold is slightly above the mean, so that a uniform surface is black however the products round.
 _MORE = np.float32(1 / 64)
 
 BLOCK_PX = 4
-"""The local mean is taken of means over blocks of this side."""
+"""Side of the blocks whose means form the local mean."""
 
 
 def odd(size: float) -> int:
-    """Nearest odd whole number, at least 1: a box with a middle."""
+    """Round to the nearest odd whole number, at least 1, so that a box has a middle."""
     return max(2 * round((size - 1) / 2) + 1, 1)
 
 
 class Binariser:
-    """Turns grey images of one disc into black and white.
+    """Binarises grey images of one disc.
 
-    ``adaptive``: against the mean of the neighbourhood inside the disc, so that uneven light does not matter: the mean
-    over blocks of 4x4 px that lie wholly inside, of those over a box of `ADAPTIVE_PITCHES`, linear between the blocks'
-    middles. ``global``: against the mean of the disc. ``otsu``: against the disc's best split.
+    ``adaptive`` compares with the local mean inside the disc, so that uneven light does not matter: the mean over a box
+    of `ADAPTIVE_PITCHES` of means of 4x4 px blocks wholly inside, interpolated linearly between the blocks' middles.
+    ``global`` compares with the disc's mean, ``otsu`` with its best split.
 
-    The adaptive threshold is Q8.0 and at most 2 levels off its exact value: two halvings and the interpolation round.
+    The adaptive threshold is Q8.0 and within 2 levels of its exact value: two halvings and the interpolation round.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Binariser:
         self._opaque: U8 = np.multiply(self._inside, 255, dtype=np.uint8)
         self._masked, self._white, self._threshold = (np.zeros_like(self._inside) for _ in range(3))
         self._box = (odd(ADAPTIVE_PITCHES * pitch_px / BLOCK_PX),) * 2
-        # A block that is partly outside would round to another mean.
+        # A block partly outside the disc would round to another mean.
         self._whole: U8 = np.where(_quarter(self._opaque) == 255, np.uint8(255), np.uint8(0))
         count = self._sums(self._whole) / np.float32(255)
         self._per_box: F32 = np.divide(np.float32(1), count, out=np.zeros_like(count), where=count > 0)
@@ -77,7 +77,7 @@ class Binariser:
             local *= self._per_box
             local += _MORE
             least = ADAPTIVE_FLOOR * cv2.sumElems(parts)[0] / max(self._blocks, 1)
-            # grey > t where grey is whole is grey > floor(t), and no t comes near 256.
+            # For a whole number grey, grey > t is grey > floor(t); no t comes near 256.
             whole = np.maximum(local, np.float32(least)).astype(np.uint8)
             cv2.resize(whole, self._masked.shape[::-1], dst=self._threshold, interpolation=cv2.INTER_LINEAR)
             cv2.compare(self._masked, self._threshold, cv2.CMP_GT, dst=self._white)
@@ -106,7 +106,7 @@ def binarise(grey: U8, mask: U8, method: Binarisation, pitch_px: float) -> U8:
 
 
 def padded(image: U8, multiple: int, value: int) -> U8:
-    """The image with rows and columns of `value` added below and on the right, to a multiple of a number of pixels."""
+    """Pad an image with `value` below and on the right, so that its sides are multiples of `multiple`."""
     rows, cols = (-size % multiple for size in image.shape)
     if rows == cols == 0:
         return image
@@ -114,7 +114,7 @@ def padded(image: U8, multiple: int, value: int) -> U8:
 
 
 def halved(image: A) -> A:
-    """Means over 2x2 px, for which OpenCV has a fast way; of uint8 rounded half up. The sides are even."""
+    """Means over 2x2 px, rounded half up for uint8; the sides must be even. OpenCV has a fast path for this."""
     half: A = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     return half
 

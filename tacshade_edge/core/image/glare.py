@@ -1,4 +1,4 @@
-"""Specular spots that the reference does not have: what they and their halo cover says nothing of the skin."""
+"""Find specular spots that the reference does not have: they and their halo hide the skin."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from tacshade_edge.core.image.binarise import padded
 from tacshade_edge.core.image.median import percentile
 from tacshade_edge.types import U8, freeze
 
-# Every box of so many pitches holds a piece of a black pin, in contact too (measured: at most 0.9); under glare it
-# does not, and its darkest pixel is brighter than the reference's there by GLARE_LIFT, and by GLARE_PART of what is
-# between the reference's dark and bright, or more: another exposure lifts the dark by less.
+# Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is enough), except under
+# glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by GLARE_PART of the reference's range from
+# dark to bright; another exposure lifts the dark less.
 GLARE_PITCHES = 1.0
 GLARE_LIFT, GLARE_PART = 22, 0.2
-# So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET; a drag
-# brings markers from as far as GLARE_REACH pitches to where the reference has none.
+# Pixels are also glare if brighter than GLARE_GAIN times the brightest marker nearby in the reference plus
+# GLARE_OFFSET; a drag moves markers by up to GLARE_REACH pitches to where the reference has none.
 GLARE_GAIN, GLARE_OFFSET, GLARE_REACH = 1.3, 25, 2.0
 GLARE_PX = 6
-# The halo around a glare spot that is not trusted either, in pitches (and a block).
+# Width of the halo around a glare spot that is not trusted either, in pitches (plus a block).
 GLARE_HALO_PITCHES = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlareCheck:
-    """What a sensor looks like without glare, inside the window of its disc.
+    """The appearance of a sensor without glare, inside the window of its disc.
 
     Attributes
     ----------
     inside : uint8 (H / block_px, W / block_px)
-        255 where a block has pixels of the disc.
+        255 for blocks with pixels of the disc.
     block_px : int
-        The search is by blocks of this side: a quarter of the pitch or less, 4 at most.
+        Side of the blocks of the search: at most a quarter of the pitch, and at most 4.
     darkest : uint8 (H / block_px, W / block_px)
-        The brightest that the darkest pixel around a block may be.
+        Upper limit for the darkest pixel around each block.
     brightest : uint8 (H, W)
-        The brightest that a pixel may be: 255 outside the disc, where glare is none of ours.
+        Upper limit for each pixel: 255 outside the disc, where glare does not matter.
     box, halo : uint8 (n, n)
-        Neighbourhoods of blocks as morphological kernels.
+        Neighbourhoods of blocks, as morphological kernels.
     whole, bright : uint8
-        Space to work in: of whole blocks, white beyond the window; as large as the window.
+        Work space: `whole` has whole blocks, white beyond the window; `bright` has the size of the window.
     """
 
     inside: U8
@@ -80,18 +80,18 @@ def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
 
 
 def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
-    """Pixels in and around specular spots that the reference does not have.
+    """Find the pixels in and around specular spots that the reference does not have.
 
     Parameters
     ----------
     grey : uint8 (H, W)
-        Of the window.
+        Grey image of the window.
     check : GlareCheck
 
     Returns
     -------
     uint8 (H, W) or None
-        1 where glare and its halo are, in whole blocks; None without glare.
+        1 in glare and its halo, in whole blocks; None without glare.
     """
     side, (rows, cols) = check.block_px, grey.shape
     check.whole[:rows, :cols] = grey
@@ -110,7 +110,7 @@ def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
 
 
 def _lift(reference_grey: U8, mask: U8) -> int:
-    """By how many grey levels glare lifts what is dark in the reference."""
+    """The number of grey levels by which glare lifts the reference's dark pixels."""
     inside = reference_grey[mask > 0]
     if not inside.size:
         return GLARE_LIFT
@@ -119,7 +119,7 @@ def _lift(reference_grey: U8, mask: U8) -> int:
 
 
 def _around(size_px: float, block_px: int) -> U8:
-    """The least odd number of blocks that is as wide as so many pixels, as a kernel."""
+    """A kernel of the smallest odd number of blocks that is at least this many pixels wide."""
     blocks = math.ceil(size_px / block_px)
     return np.ones((blocks + 1 - blocks % 2,) * 2, dtype=np.uint8)
 
@@ -130,7 +130,7 @@ def _least(image: U8, block_px: int) -> U8:
     step = 1
     while step < block_px:
         least = np.asarray(cv2.min(least[::2], least[1::2]), np.uint8)
-        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # of 2 step columns from each on
+        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # over 2 step columns from each one
         step *= 2
     return np.ascontiguousarray(least[:, ::block_px])
 

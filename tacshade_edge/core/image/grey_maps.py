@@ -1,4 +1,4 @@
-"""The maps of section IV-A and IV-B that a method of shape from shading works on."""
+"""Compute the maps of sections IV-A and IV-B for shape from shading."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class GreyMaps:
     Attributes
     ----------
     g, g0 : float32 (rows, cols), 0 to 255
-        White ratio now and of the unloaded skin, denoised.
+        White ratio of the image and of the unloaded skin, denoised.
     g_d : float32 (rows, cols)
         Eq. 9, positive in contact.
     inside : bool (rows, cols)
@@ -36,12 +36,12 @@ class GreyMaps:
 
 
 class GreyMapper:
-    """Denoises white ratios, then takes eq. 9 without the common change of light.
+    """Denoises white ratios, then applies eq. 9 without the common change of light.
 
     Parameters
     ----------
     preprocessor : Preprocessor
-        Whose values are mapped; the weight of the denoising is its profile's.
+        Provides the reference; its profile sets the weight of the denoising.
     denoise : callable
         The total-variation denoising.
     """

@@ -11,11 +11,11 @@ from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.types import F32, U8, Bool
 
 Denoiser = Callable[[F32, float], F32]
-"""Total-variation denoising: an image of 0 to 1 and the weight."""
+"""Total-variation denoising of an image of 0 to 1 with a weight."""
 
 
 def to_grey(image: U8, space: U8 | None = None) -> U8:
-    """Grey image of a grey (H, W) or BGR (H, W, 3) one; uint8, 0 to 255. It may be put into `space`, (H, W)."""
+    """Convert a grey (H, W) or BGR (H, W, 3) image to grey; uint8, 0 to 255. The result may use `space`, (H, W)."""
     if image.ndim == 2:
         return image
     grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=space)
@@ -30,11 +30,11 @@ def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
     Parameters
     ----------
     white_sum : float32 (rows, cols)
-        s_w: white pixels in the window: sums of 0 and 1, or of means of binarised images 0 to 255 (see `full_scale`).
+        s_w, the white pixels in the window: sums of 0 and 1, or of mean images of 0 to 255 (see `full_scale`).
     total : float32 (rows, cols)
-        s_t: the disc's pixels in the window.
+        s_t, the disc's pixels in the window.
     full_scale : float
-        255 for sums of 0 and 1; 1 for those of 0 to 255.
+        255 for sums of 0 and 1; 1 for sums of 0 to 255.
 
     Returns
     -------
@@ -47,14 +47,14 @@ def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
 def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chambolle) -> F32:
     """Total-variation denoising of the white ratio, Fig. 4(d).
 
-    Outside the disc the mean of the inside stands, so that its edge is not an edge of the image.
+    The mean of the inside fills the outside of the disc, so that its rim is not an edge of the image.
 
     Parameters
     ----------
     g : float32 (rows, cols), 0 to 255
     inside : bool (rows, cols)
     weight : float
-        In units of g/255; 0 leaves the map as it is.
+        In units of g/255; 0 leaves the map unchanged.
     denoise : callable
 
     Returns
@@ -80,21 +80,21 @@ def grey_difference(g: F32, g0: F32, inside: Bool, sign: float) -> F32:
 
 
 def normalise(values: F32, inside: Bool) -> F32:
-    """Min-max over the disc to [0, 1]; all 0 where the values do not differ; 0 outside."""
+    """Scale values by min-max over the disc to [0, 1]; 0 outside, and all 0 if the values do not differ."""
     if not inside.any():
         return np.zeros_like(values)
     low, high = values[inside].min(), values[inside].max()
     if not high > low:
         return np.zeros_like(values)
     result = np.zeros(values.shape, np.float32)
-    np.divide(values - low, high - low, out=result, where=inside)  # outside a quotient may be beyond float32
+    np.divide(values - low, high - low, out=result, where=inside)  # a quotient outside may overflow float32
     return result
 
 
 def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
     """Eq. 10 and the normalisation after it: g_hn from g_d and g0.
 
-    Meaningless without contact, where it stretches noise to the full range: gate first.
+    Apply the gate first: without contact this stretches noise to the full range.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""An image's bytes to its pixels, once its header has stated a size that a camera can have.
+"""Decode an image's bytes once its header states a size that a camera can have.
 
-OpenCV's decoders take what the header says: without the look before, 875 kB of PNG become 1.8 GB.
+OpenCV's decoders trust the header: without this check, 875 kB of PNG become 1.8 GB.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from tacshade_edge.types import U8
 PIXELS_MAX: Final = 1 << 24
 SIDE_MAX_PX: Final = 8192
 
-# What the last bytes of a whole file hold; some cameras pad the end.
+# Markers near the end of a complete file; some cameras pad the end.
 _ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 _TAIL_BYTES: Final = 1024
 
-# Its own lines on stderr would stand beside our one.
+# OpenCV's own lines on stderr would add to our one.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
@@ -34,17 +34,17 @@ def decode_image(data: bytes, flags: int) -> U8:
     ----------
     data : bytes
     flags : int
-        OpenCV's, with ``IMREAD_IGNORE_ORIENTATION``.
+        OpenCV's flags, with ``IMREAD_IGNORE_ORIENTATION``.
 
     Returns
     -------
     uint8 (H, W) grey or (H, W, 3) BGR
-        At most `SIDE_MAX_PX` a side and `PIXELS_MAX` in all.
+        At most `SIDE_MAX_PX` per side and `PIXELS_MAX` in all.
 
     Raises
     ------
     DecodeError
-        Not an image, too large, cut short or damaged so that it shows: damage between can pass.
+        Not an image, too large, cut short or visibly damaged; damage in the middle can pass.
     """
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
@@ -66,7 +66,7 @@ def decode_image(data: bytes, flags: int) -> U8:
 
 
 def _size_px(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header states; None when it is of none of these formats."""
+    """Width and height from the header, px; None if the format is unknown."""
     read = next((read for start, read in _HEADERS.items() if data.startswith(start)), None)
     try:
         return None if read is None else read(data)
@@ -75,7 +75,7 @@ def _size_px(data: bytes) -> tuple[int, int] | None:
 
 
 def _png(data: bytes) -> tuple[int, int] | None:
-    """From the first chunk; all must be as long as they say, which the decoder believes (ISO/IEC 15948, 5.3)."""
+    """The size from the first chunk; all must be as long as stated, as the decoder trusts that (ISO/IEC 15948, 5.3)."""
     at, kind = 8, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -87,11 +87,11 @@ def _png(data: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
-    """From the first frame header (ISO/IEC 10918-1, B.2.2); segments before it are stepped over by their length."""
+    """The size from the first frame header (ISO/IEC 10918-1, B.2.2), skipping segments before it by their length."""
     at = 2
     while True:
         (marker,) = struct.unpack_from(">H", data, at)
-        if marker == 0xFFFF:  # fill
+        if marker == 0xFFFF:  # fill bytes
             at += 1
         elif 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
             height, width = struct.unpack_from(">2H", data, at + 5)
@@ -107,7 +107,7 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 def _bmp(data: bytes) -> tuple[int, int]:
     (header_bytes,) = struct.unpack_from("<I", data, 14)
     width, height = struct.unpack_from("<2H" if header_bytes == 12 else "<2i", data, 18)
-    return abs(width), abs(height)  # upside down below 0
+    return abs(width), abs(height)  # negative if upside down
 
 
 _PNM_GAP = rb"(?:\s|#[^\n]*\n)+"
@@ -124,7 +124,7 @@ _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILES = 256, 257, (322, 323)
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
-    """From the first directory (TIFF 6.0, section 2)."""
+    """The size from the first directory (TIFF 6.0, section 2)."""
     order = "<" if data.startswith(b"II") else ">"
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (entries,) = struct.unpack_from(f"{order}H", data, at)
@@ -140,7 +140,7 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:
-    """From the first chunk (RFC 9649, sections 2.5 to 2.7)."""
+    """The size from the first chunk (RFC 9649, sections 2.5 to 2.7)."""
     kind = data[8:16]
     if kind == b"WEBPVP8X":
         low = struct.unpack_from("<6B", data, 24)

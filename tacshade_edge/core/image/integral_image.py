@@ -1,4 +1,4 @@
-"""Sums of an image over boxes of any size, all from one integral image."""
+"""Sum an image over boxes of any size, all from one integral image."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tacshade_edge.types import F32, I32, U8, freeze
 Total = npt.NDArray[np.int32] | npt.NDArray[np.float64]
 
 _EXACT = 2**31
-"""Integrals below it are exact in int32."""
+"""Integrals below this are exact in int32."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntegralImage:
     """The integral image of a window's pixels, with zeros around them.
 
-    Exact: whole numbers in int32 (float64 where an image of grey levels is so large that they would not fit).
+    Exact: whole numbers in int32 (float64 if the image is too large for that).
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Integrator:
     ----------
     window : Window
     margin_px : int
-        How far a box may reach beyond the window.
+        Greatest reach of a box beyond the window.
     """
 
     def __init__(self, window: Window, margin_px: int) -> None:
@@ -51,7 +51,7 @@ class Integrator:
         self._values = np.zeros((window.rows + 2 * margin_px, window.cols + 2 * margin_px), np.uint8)
 
     def space(self) -> I32:
-        """Space for one integral image."""
+        """Allocate the buffer for one integral image."""
         rows, cols = self._values.shape
         return np.empty((rows + 1, cols + 1), np.int32)
 
@@ -62,7 +62,7 @@ class Integrator:
         ----------
         values : uint8 (rows, cols)
         space : int32, optional
-            Of `space`: the result is put there where it fits, and lasts until `space` is used again.
+            Buffer from `space` that the result uses if it fits, valid until `space` is used again.
         """
         rows, cols, m = self.window.rows, self.window.cols, self.margin_px
         self._values[m : m + rows, m : m + cols] = values
@@ -72,12 +72,12 @@ class Integrator:
 
 
 class BoxSums:
-    """Sums over boxes of an odd side around the cells of a grid of whole pixels inside the window.
+    """Sums integral images over boxes of odd side around the cells of a grid of whole pixels inside the window.
 
     Parameters
     ----------
     integrator : Integrator
-        Whose integral images are summed; its margin is over half the side.
+        Source of the integral images; its margin is more than half the side.
     grid : Grid
     side_px : int
     """
@@ -89,7 +89,7 @@ class BoxSums:
         self._rows, self._cols = grid.rows, grid.cols
         self._above, self._below = row - half, row + half + 1
         self._left, self._right = col - half, col + half + 1
-        self._bands: Total = np.empty((0, 0), np.int32)  # space to work in
+        self._bands: Total = np.empty((0, 0), np.int32)  # work space
 
     def sums(self, integral: IntegralImage) -> F32:
         """The sums, float32 (grid.rows, grid.cols), exact below 2**24."""
@@ -103,14 +103,14 @@ class BoxSums:
 
 
 class CellMeans:
-    """Means over cells whose edges need not lie between pixels, as if a pixel were a square of one value.
+    """Averages over cells whose edges may cut pixels, which count as squares of constant value.
 
     Parameters
     ----------
     integrator : Integrator
-        Whose integral images are averaged.
+        Source of the integral images.
     grid : Grid
-        Of cells as wide as its step.
+        Its cells are as wide as its step.
     """
 
     def __init__(self, integrator: Integrator, grid: Grid) -> None:
@@ -122,14 +122,14 @@ class CellMeans:
     def means(self, integral: IntegralImage) -> F32:
         """The means, float32 (grid.rows, grid.cols).
 
-        Exact to 1e-4 of the greatest value. What lies beyond the window is 0.
+        Exact to 1e-4 of the greatest value. Pixels beyond the window are 0.
         """
         both = self._cols.across(self._rows.between(integral.total))
         return np.multiply(both.T, self._per_area, order="C")
 
 
 class _Edges:
-    """Where the edges of cells in a row lie in an integral image: between line `low` and the next, at `part` of it.
+    """Positions of cell edges along an axis of an integral image: `part` of the way from line `low` to the next.
 
     Parameters
     ----------
@@ -144,9 +144,9 @@ class _Edges:
         self._turned: F32 = np.empty((0, 0), np.float32)
 
     def between(self, lines: Total | F32) -> F32:
-        """Integral along axis 0 from each edge to the next; the next call overwrites it.
+        """Integrate along axis 0 from each edge to the next; the next call overwrites the result.
 
-        Differences first: they are small, and exact in float32.
+        It takes differences first, because they are small and exact in float32.
         """
         edges, width = len(self._part), lines.shape[1]
         if self._taken.shape[1] != width or self._taken.dtype != lines.dtype:
@@ -155,7 +155,7 @@ class _Edges:
             self._parts = np.repeat(self._part, width, axis=1)
             self._beyond = np.empty((edges, width), np.float32)
             self._between = np.empty((edges - 1, width), np.float32)
-        # "clip" writes into `out` directly; no edge lies beyond.
+        # "clip" writes into `out` directly; no edge exceeds the range.
         taken = lines.take(self._both, 0, self._taken, "clip")
         at, following = taken[:edges], taken[edges:]
         self._beyond[...] = np.subtract(following, at, out=following)
@@ -166,7 +166,7 @@ class _Edges:
         return self._between
 
     def across(self, lines: F32) -> F32:
-        """The same along axis 1; axis 0 of the answer."""
+        """Integrate along axis 1, which becomes axis 0 of the result."""
         if self._turned.shape != lines.shape[::-1]:
             self._turned = np.empty(lines.shape[::-1], np.float32)
         cv2.transpose(lines, dst=self._turned)
@@ -174,7 +174,7 @@ class _Edges:
 
 
 def _edges(first: float, step: float, count: int, size: int, margin: int) -> _Edges:
-    # Pixel i reaches from i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
+    # Pixel i spans i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
     edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
     low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
     return _Edges(low, (edge - low).astype(np.float32))

@@ -1,4 +1,4 @@
-"""Section IV-A of the paper: from an image to the white ratio (eq. 1) and its change (eq. 9)."""
+"""Compute the white ratio (eq. 1) and its change (eq. 9) from an image: section IV-A of the paper."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from tacshade_edge.core.image.median import median
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, I32, U8, Bool, Calibration, freeze
 
-# Cells whose window is cut by the rim below this part of its full size do not vote: a shift of the camera shows there.
+# Cells do not vote if the rim cuts their window below this part of its full size: there a camera shift shows.
 VOTING_WINDOW_PART = 0.75
-# A window of which glare leaves less than this part shows nothing.
+# A window shows nothing if glare leaves less than this part of it.
 CLEAR_WINDOW_PART = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preprocessed:
-    """What is known of an image before its depth.
+    """The result of preprocessing an image.
 
     Attributes
     ----------
     g : float32 (rows, cols), 0 to 255
-        Eq. 1 on `Preprocessor.grid`; under glare the reference's.
+        Eq. 1 on `Preprocessor.grid`; the reference's value under glare.
     g_d : float32 (N,)
-        Eq. 9 at the cells that have a vote, positive in contact, not denoised.
+        Eq. 9 at the voting cells, positive in contact, not denoised.
     drift_grey : float
-        Median of `g_d`, grey levels: a change of light moves every cell, a contact only some.
+        Median of `g_d`, grey levels: a change of light affects every cell, a contact only some.
     white : IntegralImage
-        Of the binarised image, 0 and 1; under glare the reference's.
+        Integral of the binarised image, 0 and 1; the reference's pixels under glare.
     unseen : float
         Part of the disc under glare, 0 to 1.
     """
@@ -58,33 +58,33 @@ class Preprocessor:
     ----------
     calibration : Calibration
     profile : Profile
-        Its resolution, stride and window; not its solver.
+        Provides resolution, stride and window; its solver does not matter.
 
     Attributes
     ----------
     camera : Calibration
-        As given, in the camera's pixels.
+        The calibration as given, in the camera's pixels.
     calibration : Calibration
-        In the pixels that are worked on: the camera's, or of twice their width where the profile halves them.
+        The calibration in working pixels: the camera's, or twice as wide if the profile halves images.
     camera_px : int
-        A pixel that is worked on is so many of the camera's.
+        Width of a working pixel in the camera's pixels.
     profile : Profile
     sign : float
         -1 for a sensor that darkens in contact, else 1.
     integrator : Integrator
-        Makes `Preprocessed.white`.
+        Computes `Preprocessed.white`.
     grid : Grid
-        Of `Preprocessed.g`, in pixels that are worked on.
+        Grid of `Preprocessed.g`, in working pixels.
     rays : DiscRays
-        Of `grid`.
+        Rays of `grid`.
     voting : bool (rows, cols)
-        Cells of `Preprocessed.g_d`: most of the window lies in the disc.
+        Cells of `Preprocessed.g_d`: most of their window lies in the disc.
     reference_g : float32 (rows, cols), 0 to 255
         Eq. 1 of the unloaded skin.
     reference_white : IntegralImage
-        Of the unloaded skin's `Calibration.reference_white`, 0 to 255.
+        Integral of the unloaded skin's `Calibration.reference_white`, 0 to 255.
     cell_mm2 : float
-        Area of skin of a cell of `grid`.
+        Area of skin that a cell of `grid` covers.
     """
 
     def __init__(self, calibration: Calibration, profile: Profile) -> None:
@@ -124,26 +124,26 @@ class Preprocessor:
         return grid_of_whole(self.grid) if self._halve else self.grid
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
-        """The grey image that is worked on, of the camera's.
+        """Convert the camera's image to the grey working image.
 
         Parameters
         ----------
         image : uint8 (H, W) or (H, W, 3) BGR
         space : uint8 (H, W), optional
-            The result may be put there, and lasts until `space` is used again.
+            Buffer that the result may use, valid until `space` is used again.
         """
         grey = greyscale.to_grey(image, space)
         return halved_image(grey) if self._halve else grey
 
     def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
-        """Binarise, then eqs. 1 and 9, without what is under glare.
+        """Binarise, then apply eqs. 1 and 9 without the pixels under glare.
 
         Parameters
         ----------
         grey : uint8 (H, W)
-            Of `grey`.
+            From `grey`.
         space : int32, optional
-            Of ``integrator.space``: `Preprocessed.white` may be put there, and lasts until `space` is used again.
+            Buffer from ``integrator.space`` that `Preprocessed.white` may use, valid until `space` is used again.
         """
         window = self._window.cut(grey)
         glare = glare_mask(window, self._glare_check)
@@ -153,14 +153,14 @@ class Preprocessor:
             g, unseen = self._box_sums.sums(integral) * self._per_total, 0.0
         else:
             g, unseen = self._ratio_beside(glare, white)
-            # A network that sees black under glare would see pins; what stood there without contact says nothing.
+            # A network would take black under glare for pins; the reference's pixels are neutral.
             integral = self.integrator.integrate(np.where(glare > 0, self._reference_binary, white), space)
         g_d = g.take(self._voters) - self._reference_voted
         g_d = g_d if self.sign > 0 else -g_d
         return Preprocessed(g, g_d, median(g_d) if g_d.size else 0.0, integral, unseen)
 
     def _ratio_beside(self, glare: U8, white: U8) -> tuple[F32, float]:
-        """Eq. 1 of what is not under glare, and the part of the disc that is."""
+        """Eq. 1 of the pixels not under glare, and the part of the disc under glare."""
         clear = cv2.bitwise_and(self._mask, 1 - glare)
         total = self._box_sums.sums(self.integrator.integrate(clear))
         white_clear = self.integrator.integrate(cv2.bitwise_and(white, clear))

@@ -1,7 +1,7 @@
-"""Total-variation denoising: Chambolle's algorithm for the model of Rudin, Osher and Fatemi.
+"""Denoise by total variation: Chambolle's algorithm for the model of Rudin, Osher and Fatemi.
 
-The same operations in the same order as scikit-image's ``denoise_tv_chambolle``, so the same bits (the tests compare
-them); without importing it, which costs 60 MB of memory and a second on a fast machine.
+The operations and their order are those of scikit-image's ``denoise_tv_chambolle``, so the bits are the same (the tests
+compare them), without its import, which costs 60 MB of memory and a second on a fast machine.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from tacshade_edge.types import F32, F64
 Floats = TypeVar("Floats", F32, F64)
 
 ITERATIONS_MAX = 200
-# Iterating ends when the cost falls by less than this part of its first value.
+# The iteration ends when the cost falls by less than this part of its first value.
 ENOUGH = 2.0e-4
 _TAU = 0.25  # the step, 1 / (2 dimensions)
 
 
 def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) -> Floats:
-    """The image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight).
+    """Compute the image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight).
 
     Parameters
     ----------
     image : float32 or float64 (rows, cols)
     weight : float
-        Over 0, in units of the image's values; the greater, the smoother.
+        Above 0, in units of the image's values; a greater weight smooths more.
     iterations : int
-        At most so many; fewer where one changes next to nothing (`ENOUGH`).
+        Greatest number of iterations; fewer if one changes next to nothing (`ENOUGH`).
 
     Returns
     -------
@@ -39,8 +39,8 @@ def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) ->
     ----------
     A. Chambolle, An algorithm for total variation minimization and applications, J. Math. Imaging Vis. 20, 89-97 (2004)
     """
-    # Rows lie one after the other, so that a neighbour is a shift of the whole: NumPy is several times slower on the
-    # slices of a two-dimensional array. Before the first row and pixel there is a 0.
+    # The rows are flattened, so that a shift of the whole gives the neighbours: NumPy is several times slower on slices
+    # of a two-dimensional array. A 0 precedes the first row and pixel.
     cols, count, dtype = image.shape[1], image.size, image.dtype
     source = u = image.ravel()
     p_down, p_right = np.zeros(cols + count, dtype), np.zeros(1 + count, dtype)

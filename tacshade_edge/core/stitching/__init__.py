@@ -1,1 +1,1 @@
-"""Many presses to one map of a surface."""
+"""Stitch many presses into one map of a surface."""

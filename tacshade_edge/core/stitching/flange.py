@@ -1,13 +1,13 @@
-"""Where the sensor sits on the flange, and the delay of its frames: what makes overlapping presses one surface.
+"""Find the sensor's pose on the flange and its frames' delay, for which overlapping presses make one surface.
 
-Hand-eye calibration by the surface that presses share, as iterative closest points do it (Chen and Medioni, "Object
-modeling by registration of multiple range images", 1992): in each place of the base frame the heights of all presses
-have to agree. Gauss-Newton with Cauchy's weight, coarse to fine: the surface is one quadratic function first, which
-needs no correspondence and so forgives any error of the start; then it is cells that shrink. In the last ones each
-press has the robot's error and each frame the reconstruction's, and what the sensor systematically does to a contact
-is solved for too, held at zero by what it typically is. Contacts that are all tilted alike look like a turn of the
-sensor: that is not solved for but considered in the covariance (Schmidt, "Application of state-space methods to
-navigation problems", 1966).
+Hand-eye calibration by the surface that presses share, like iterative closest points (Chen and Medioni, "Object
+modeling by registration of multiple range images", 1992): at each place of the base frame the heights of all presses
+must agree. Gauss-Newton with Cauchy's weight, coarse to fine: the surface is first one quadratic function, which needs
+no correspondence and so tolerates any error of the start, then cells that shrink. In the last ones each press has the
+robot's error and each frame the reconstruction's, and the sensor's systematic errors of a contact are solved for too,
+with their typical size as a prior. Contacts that are all tilted alike look like a turn of the sensor: this tilt is not
+solved for but considered in the covariance (Schmidt, "Application of state-space methods to navigation problems",
+1966).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F64, freeze
 
 ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
-"""Of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin, and
-by how much later than the robot's poses the frames are stamped."""
+"""Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin,
+and the delay of the frames' time stamps after the robot's poses."""
 
-# Size of the cells, and how far heights of one place differ; the first is one function for all.
+# Size of the cells, and the deviation of heights at one place; the first is one function for all.
 _COARSE_MM = ((0.0, 1.0), (6.0, 0.6), (3.0, 0.4), (1.5, 0.25))
 _FINE_MM = (1.0, 0.15)
 _ITERATIONS_MAX = 12
 _STEP_MAX = np.array((3.0,) * 3 + (np.radians(4),) * 3 + (30.0,))
 _CONVERGED = np.array((0.005,) * 3 + (3e-4,) * 3 + (0.1,))
 # Standard deviations: of the start; of the sensor's own errors in mm at 10 mm; of the considered ones; of each press
-# (what its patch is tilted by is the reconstruction's, the rest the robot's); of each frame's level, and of its bulge.
+# (its patch's tilt is the reconstruction's, the rest the robot's); of each frame's level and bulge.
 _START = np.array((10.0,) * 3 + (np.radians(10),) * 3 + (100.0,))
 _OWN_MM = np.array((0.5, 0.5, 1.0))
 _CONSIDERED = np.array((0.05, 0.05, 0.02))
@@ -49,7 +49,7 @@ _FRAME_MM = np.array((0.2, 0.5))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundFlange:
-    """The result.
+    """The result of `find_flange`.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class FoundFlange:
     covariance : float64 (7, 7)
         In the units and the order of `ORDER`.
     left_mm : float
-        RMS of what heights of one place still differ by.
+        RMS of the remaining height differences at one place.
     """
 
     flange_T_sensor: Rigid
@@ -71,12 +71,12 @@ class FoundFlange:
 
 
 def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> FoundFlange:
-    """Solve.
+    """Find the sensor's pose on the flange and the delay.
 
     Parameters
     ----------
     frames : sequence of ContactFrame
-        At least one; those of a press together.
+        At least one; frames of a press adjacent.
     start : Rigid
         ``flange_T_sensor`` within 10 mm and 10 degrees.
     skin_radius_mm : float
@@ -84,7 +84,7 @@ def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: fl
     Returns
     -------
     FoundFlange
-        What cannot be seen keeps the start's standard deviation: 10 mm, 10 degrees, 100 ms.
+        Quantities that the presses do not show keep the start's standard deviation: 10 mm, 10 degrees, 100 ms.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: fl
 
 
 def _solved(equations: NormalEquations, now: Estimate, start: Rigid, sigmas: F64) -> tuple[F64, F64]:
-    """A Gauss-Newton step, no longer than `_STEP_MAX`, and the covariance."""
+    """A Gauss-Newton step, limited to `_STEP_MAX`, and the covariance."""
     turned, _ = cv2.Rodrigues(now.flange_T_sensor.rotation @ start.rotation.T)
     moved_mm = now.flange_T_sensor.translation_mm - start.translation_mm
     gone = np.concatenate(

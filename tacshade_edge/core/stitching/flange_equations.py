@@ -1,7 +1,7 @@
-"""Frames in contact as one surface: where each point lies, and the normal equations of what moves it.
+"""Place the points of frames in contact on one surface, and set up the normal equations of the unknowns.
 
 ``base_T_sensor = base_T_flange(t - delay) @ flange_T_sensor``. The unknown surface is eliminated, as in `refinement`:
-at first it is one quadratic function of x and y, then the mean heights of cells.
+first it is one quadratic function of x and y, then the mean heights of cells.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from tacshade_edge.rigid import Rigid, of_pose, turn
 from tacshade_edge.types import F64, I64, Pose
 
 OWN_TERMS = 3
-"""Of the sensor's own errors: how a contact's level changes along x, along y, and outwards."""
+"""Number of the sensor's own errors: change of a contact's level along x, along y, and outwards."""
 GLOBALS = 7 + OWN_TERMS
 FRAME_TERMS = 2
-"""Of each frame's own errors: its level, and how it bulges."""
+"""Number of each frame's own errors: its level and its bulge."""
 CONSIDERED = 3
-"""What is not solved for: contacts that all are tilted about x or y, and places that all are too far from the axis."""
+"""Number of errors not solved for: a common tilt of all contacts about x or y, and of distance from the axis."""
 _LATERAL_RATIO = 2.0
 _CAUCHY_SIGMAS = 1.5
 _QUADRATIC_MM = 10.0
 _FACING_MIN = 0.5
-_RIDGE = 1e-9  # of the weights: a few points in one place give no quadratic function
+_RIDGE = 1e-9  # relative to the weights: a few points in one place do not define a quadratic function
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +43,11 @@ class ContactFrame:
     points : float64 (N, 4)
         `refinement.thin_points`, in the sensor frame; N >= 1.
     press : int
-        From 0, never falling from one frame to the next: frames of one contact share the robot's error.
+        From 0, never decreasing from frame to frame: frames of one contact share the robot's error.
     t_ns : int
-        Of the frame.
+        Time of the frame.
     track : tuple of Pose
-        ``base_T_flange`` around that time, in order; a single one where the robot stood still.
+        ``base_T_flange`` around that time, in order; a single one if the robot stood still.
     """
 
     points: F64
@@ -58,18 +58,18 @@ class ContactFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What is solved for.
+    """The unknowns.
 
     Attributes
     ----------
     flange_T_sensor : Rigid
     delay_ms : float
     own : float64 (OWN_TERMS,)
-        mm at 10 mm from the axis.
+        The sensor's own errors, mm at 10 mm from the axis.
     presses : float64 (presses, 6)
-        Each press's correction: mm in the upright axes, and a turn about the apex in rad.
+        Correction of each press: mm in the upright axes, and a turn about the apex in rad.
     frames_mm : float64 (frames, FRAME_TERMS)
-        Each frame's correction in height: everywhere, and at 10 mm from the contact's middle.
+        Correction of each frame in height: everywhere, and at 10 mm from the contact's middle.
     """
 
     flange_T_sensor: Rigid
@@ -79,7 +79,7 @@ class Estimate:
     frames_mm: F64
 
     def moved(self, step: F64) -> Estimate:
-        """After a step of the solver: x, y, z, a turn about the flange's axes, the delay, and the rest in order."""
+        """The estimate after a solver step: x, y, z, turn about the flange's axes, delay, and the rest in order."""
         sensor = self.flange_T_sensor
         turned = Rigid(turn(step[3:6]).rotation @ sensor.rotation, sensor.translation_mm + step[:3])
         presses, frames_mm = self.presses, self.frames_mm
@@ -92,16 +92,16 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Of the weighted residuals, without the surface and without priors.
+    """Normal equations of the weighted residuals, without the surface and without priors.
 
     Attributes
     ----------
     matrix : float64 (K, K)
     right : float64 (K,)
     considered : float64 (K, CONSIDERED)
-        How much of each considered error looks like the unknowns.
+        The part of each considered error that looks like the unknowns.
     left_mm : float
-        RMS of the differences that are left.
+        RMS of the remaining differences.
     """
 
     matrix: F64
@@ -111,13 +111,13 @@ class NormalEquations:
 
 
 class FlangeProblem:
-    """All points of all frames, ready to be placed.
+    """All points of all frames, ready to place.
 
     Parameters
     ----------
     frames : sequence of ContactFrame
     start : Rigid
-        ``flange_T_sensor``; it says which way is up: against the sensor's mean axis, whatever stands in the base.
+        ``flange_T_sensor``; it defines the upward direction, against the sensor's mean axis, in any base frame.
     skin_radius_mm : float
 
     Raises
@@ -145,7 +145,7 @@ class FlangeProblem:
         self._upright = _upright(-axes.mean(axis=0))
 
     def equations(self, now: Estimate, cell_mm: float, sigma_mm: float, *, joint: bool) -> NormalEquations:
-        """Linearise.
+        """Linearise about an estimate.
 
         Parameters
         ----------
@@ -153,11 +153,11 @@ class FlangeProblem:
         cell_mm : float
             0 takes the surface as one quadratic function.
         sigma_mm : float
-            How far heights of one place differ.
+            Standard deviation of heights at one place.
         joint : bool
-            Presses and frames have errors of their own.
+            Whether presses and frames have their own errors.
         """
-        from scipy import sparse  # a daemon needs none of it
+        from scipy import sparse  # a daemon does not need it
 
         placed = self._placed(now)
         surface = _surface(placed.at, self._weight, cell_mm)
@@ -214,17 +214,17 @@ class FlangeProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Placed:
-    """Of each point.
+    """The placed points.
 
     Attributes
     ----------
     at, lever : float64 (N, 3)
-        In the upright axes, mm; from the apex of its press.
+        Place in the upright axes, and relative to the apex of its press; mm.
     base_R_flange : float64 (N, 3, 3)
     arm : float64 (N, 3)
-        From the sensor's origin, in the flange's axes.
+        Relative to the sensor's origin, in the flange's axes.
     per_ms : float64 (N, 3)
-        How it moves with the delay, mm per ms.
+        Movement with the delay, mm per ms.
     """
 
     at: F64
@@ -236,7 +236,7 @@ class _Placed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """A surface that is linear in its unknowns: their columns, its slope and its height at the points."""
+    """A surface that is linear in its unknowns: their columns, and the slope and height at the points."""
 
     basis: Any  # sparse (N, M)
     cells: bool  # each point has one 1
@@ -244,7 +244,7 @@ class _Surface:
     height_mm: F64
 
     def solved(self, weight: F64, right: Any) -> Any:
-        """(BᵀWB)⁻¹ times a sparse matrix (M, K)."""
+        """Solve (BᵀWB) X = a sparse matrix (M, K)."""
         from scipy import sparse
 
         if self.cells:
@@ -252,7 +252,7 @@ class _Surface:
         return sparse.csr_array(np.linalg.solve(_weighted_square(self.basis.toarray(), weight), right.toarray()))
 
     def left_mm(self, weight: F64) -> F64:
-        """How far each point is off the surface that fits best."""
+        """Distance of each point from the best surface in height, mm."""
         from scipy import sparse
 
         right = sparse.csr_array((self.basis.T @ (weight * self.height_mm))[:, None])
@@ -282,7 +282,7 @@ def _weighted_square(columns: F64, weight: F64) -> F64:
 
 
 def _own_shapes(frames: Sequence[ContactFrame]) -> F64:
-    """Of each point, outwards along its ray: what each of the sensor's own errors of 1 mm adds; (N, OWN_TERMS + 2)."""
+    """Shift of each point outwards along its ray by 1 mm of each of the sensor's own errors; (N, OWN_TERMS + 2)."""
     parts = []
     for frame in frames:
         x, y = frame.points[:, :2].T / 10
@@ -293,7 +293,7 @@ def _own_shapes(frames: Sequence[ContactFrame]) -> F64:
 
 
 def _blocks(columns: F64, of: I64, count: int) -> Any:
-    """Sparse (N, count · C): each point has its columns in the block of what it is of."""
+    """Sparse (N, count · C): each point has its columns in the block of its press or frame."""
     from scipy import sparse
 
     points, width = columns.shape
@@ -302,7 +302,7 @@ def _blocks(columns: F64, of: I64, count: int) -> Any:
 
 
 def _upright(up: F64) -> F64:
-    """A rotation (3, 3) that takes a direction to z."""
+    """A rotation (3, 3) that turns a direction to z."""
     z = up / np.linalg.norm(up)
     y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     y /= np.linalg.norm(y)
@@ -311,7 +311,7 @@ def _upright(up: F64) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moving:
-    """Where the flange is, and how it goes on."""
+    """Pose and velocity of the flange."""
 
     rotation: F64
     origin_mm: F64

@@ -1,4 +1,4 @@
-"""Which motion is missing where presses cannot show the sensor's place on the flange."""
+"""Explain which motions are missing if presses do not show the sensor's place on the flange."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tacshade_edge.rigid import Rigid, of_pose
 from tacshade_edge.types import F64
 
 SEEN_MM, SEEN_DEG, SEEN_MS = 2.0, 2.5, 10.0
-"""A direction with a larger standard deviation was not seen."""
+"""Standard deviation above which a direction was not seen."""
 _SPREAD_DEG = 3.0
 
 
 def unseen(frames: Sequence[ContactFrame], start: Rigid, found: FoundFlange) -> str:
-    """What cannot be seen, why, and what was expected, as one line; empty where the place on the flange is known.
+    """What cannot be determined, why, and what was expected, as one line; empty if the place on the flange is known.
 
-    The eigenvectors of the covariance of translation and of rotation are the directions; each has the name of the
-    flange's axis that it is nearest to.
+    The directions are the eigenvectors of the covariance of translation and of rotation, named after the nearest axis
+    of the flange.
     """
     blocks = (("translation along", slice(0, 3), SEEN_MM), ("rotation about", slice(3, 6), SEEN_DEG))
     names = []
@@ -35,7 +35,7 @@ def unseen(frames: Sequence[ContactFrame], start: Rigid, found: FoundFlange) -> 
 
 
 def delay_seen(found: FoundFlange) -> bool:
-    """Whether presses moved in contact: without any, nothing is known of the delay."""
+    """Whether presses show the delay, which needs motion in contact."""
     k = ORDER.index("delay_ms")
     return bool(found.covariance[k, k] < SEEN_MS**2)
 
@@ -55,6 +55,6 @@ def _why(frames: Sequence[ContactFrame], start: Rigid) -> str:
 
 
 def _spread_deg(directions: F64) -> tuple[float, float]:
-    """Standard deviations of unit vectors (N, 3) across their mean, the larger one first."""
+    """Standard deviations of unit vectors (N, 3) about their mean in degrees, the larger one first."""
     values = np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False) / np.sqrt(len(directions))
     return float(np.degrees(values[0])), float(np.degrees(values[1])) if len(values) > 1 else 0.0

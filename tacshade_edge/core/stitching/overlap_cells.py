@@ -1,4 +1,4 @@
-"""The surface that presses share, in square cells of the plane: who lies in which, and how the surface slopes there."""
+"""Sort the points of overlapping presses into square cells of the plane, and measure the surface's slope in each."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 
 from tacshade_edge.types import F64, I64
 
-_SLOPE_MAX = 2.0  # mm per mm; beyond, a slope between two cells is a step
+_SLOPE_MAX = 2.0  # mm per mm; a steeper slope between two cells is a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverlapCells:
-    """Points in cells.
+    """The cells of a set of points.
 
     Attributes
     ----------
     of_point : int64 (N,)
-        Each point's cell, from 0.
+        Cell of each point, from 0.
     count : int
-        How many cells have a point.
+        Number of cells with a point.
     slope : float64 (N, 2)
-        Of the points' mean surface along x and y in the point's cell, mm per mm.
+        Slope of the points' mean surface along x and y in each point's cell, mm per mm.
     height_mm : float64 (N,)
-        The z that each point gives to the middle of its cell: the slope's part is taken off.
+        z that each point gives to the middle of its cell, with the slope removed.
     """
 
     of_point: I64
@@ -33,12 +33,12 @@ class OverlapCells:
     height_mm: F64
 
     def means(self, values: F64, weight: F64) -> F64:
-        """Weighted mean of the points' values in each cell, (count,)."""
+        """The weighted mean of the points' values in each cell, (count,)."""
         return _means(values, weight, self.of_point, self.count)
 
 
 def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
-    """Points (N, 3) in the base frame, with their weights (N,), in cells of a size."""
+    """Sort points (N, 3) in the base frame, with weights (N,), into cells."""
     column_row = np.floor(at[:, :2] / cell_mm).astype(np.int64)
     offset = at[:, :2] - (column_row + 0.5) * cell_mm
     column_row -= column_row.min(axis=0)
@@ -51,7 +51,7 @@ def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
 
 
 def _slope(used: I64, z: F64, step: int, cell_mm: float) -> F64:
-    """Of the cells' heights towards the neighbour `step` on: of two sides, one or none; mm per mm."""
+    """Slope of the cells' heights towards the neighbour at `step`, from both sides, one or none; mm per mm."""
 
     def neighbour(by: int) -> F64:
         at = np.minimum(np.searchsorted(used, used + by), len(used) - 1)

@@ -1,4 +1,4 @@
-"""The flange's pose between the poses that the robot sent: straight lines and great circles, never far beyond.
+"""Interpolate the flange's pose between those from the robot along straight lines and great circles.
 
 Rotations are interpolated by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
 """
@@ -12,25 +12,25 @@ from dataclasses import dataclass
 
 from tacshade_edge.types import Pose
 
-GAP_MAX_NS = 250_000_000  # poses farther apart say nothing of what was between
-EXTRAPOLATION_MAX_NS = 20_000_000  # at 1 m/s² a straight line is wrong by 0.2 mm then
+GAP_MAX_NS = 250_000_000  # poses farther apart do not show the motion in between
+EXTRAPOLATION_MAX_NS = 20_000_000  # at 1 m/s² a straight line is then wrong by 0.2 mm
 HISTORY_NS = 5_000_000_000
 POSES_MAX = 8192
 
 
 @dataclass(frozen=True, slots=True)
 class InterpolatedPose:
-    """A pose, and by how much its time is beyond the newest that is known."""
+    """A pose, and the time by which it is later than the newest known one."""
 
     pose: Pose
     extrapolated_ns: int
 
 
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
-    """The pose at `t_ns` of one that moves and turns evenly from `a` to `b`; beyond them it goes on so.
+    """The pose at `t_ns` in a uniform motion and rotation from `a` to `b`, extrapolated beyond them.
 
-    The rotation takes the shorter way (q and -q are the same); `a` and `b` must not be of the same time. Of two equal
-    poses it is that pose to the last bit: a robot at rest is at one place, whichever two of its poses are taken.
+    The rotation takes the shorter way (q and -q are equal); `a` and `b` must not have the same time. Two equal poses
+    give that pose to the last bit, so that a robot at rest is at one place, whichever two poses are used.
     """
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
@@ -40,7 +40,7 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     angle = math.acos(min(dot, 1.0))
     if q == r:
         weights = 1.0, 0.0
-    elif angle < 1e-4:  # the sines are equal to their angles within 1e-9
+    elif angle < 1e-4:  # the sines equal their angles within 1e-9
         weights = 1 - fraction, fraction
     else:
         weights = math.sin((1 - fraction) * angle) / math.sin(angle), math.sin(fraction * angle) / math.sin(angle)
@@ -52,12 +52,12 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
 
 
 class PoseBuffer:
-    """The latest poses in the order of their times, all of one clock; for one thread at a time.
+    """The latest poses in order of time, all of one clock; for one thread at a time.
 
     Attributes
     ----------
     late : int
-        Poses that were not after the one before, and are not kept.
+        Number of poses dropped because they were not later than the previous one.
     """
 
     def __init__(self) -> None:
@@ -75,13 +75,13 @@ class PoseBuffer:
             poses.popleft()
 
     def clear(self) -> None:
-        """Forget all: what comes is of another clock."""
+        """Drop all poses, because the next ones are of another clock."""
         self._poses.clear()
 
     def at(self, t_ns: int) -> InterpolatedPose | None:
-        """The pose at a time; None where none is known well enough.
+        """The pose at a time; None if it is not known well enough.
 
-        Between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest.
+        It must be between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest.
         """
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:

@@ -1,4 +1,4 @@
-"""The points of one press that go into a map, and the confidence of each."""
+"""Select the points of one press for a map, with a confidence for each."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from tacshade_edge.core.geometry.disc import Grid, disc_rays, radius_squared
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64, Geometry, HeightMap, freeze
 
-# The outline is found within a cell or two, and skin beyond it is skirt, which lies off the object: confidence grows
-# to 1 over this way into the contact.
+# The outline is exact to a cell or two, and skin beyond it is skirt, off the object: confidence grows to 1 over this
+# distance into the contact.
 OUTLINE_MM = 0.8
-# Over this outer part of the disc's radius the camera looks along the skin, and confidence falls to `MIN_CONFIDENCE`.
+# In this outer part of the disc's radius the camera looks along the skin, and confidence falls to `MIN_CONFIDENCE`.
 RIM_FRACTION = 0.2
 MIN_CONFIDENCE = 0.05
-# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; of nearer ones some
-# are taken.
+# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; nearer cells are
+# subsampled.
 SPACING_MM = 0.3
-# Lateral over height error of a point: a place that is found beside its own is off in height by that times the slope.
+# Ratio of a point's lateral error to its height error; a lateral error times the slope is an error in height.
 _LATERAL_RATIO = 5.0
 
 
@@ -35,9 +35,9 @@ class PressPoints:
     ----------
     points_mm : float32 (N, 3)
     normals : float32 (N, 3)
-        Of the skin there, unit length, outwards.
+        Outward unit normals of the skin at the points.
     confidence : float32 (N,)
-        Over 0, up to 1.
+        Above 0, up to 1.
     """
 
     points_mm: F32
@@ -52,13 +52,13 @@ NO_POINTS = PressPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float3
 
 
 def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
-    """The contact's skin points, row by row.
+    """Select the contact's skin points, row by row.
 
     Parameters
     ----------
     height : HeightMap
     geometry : Geometry
-        Of the calibration that made it.
+        Geometry of the calibration that made the map.
     """
     box = bounding_box(height.contact)
     if box is None:
@@ -71,7 +71,7 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     contact = np.ascontiguousarray(cells.repeat(divisor, axis=0).repeat(divisor, axis=1))
     if min(h.shape) < 2:
         return NO_POINTS
-    # The first of the parts of a cell lies before its middle.
+    # The first part of a divided cell lies before the cell's middle.
     row0, col0 = (
         first + span.start * height.step_px - height.step_px * (divisor - 1) / (2 * divisor)
         for first, span in zip((height.row0, height.col0), box, strict=True)
@@ -82,14 +82,14 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     inside_mm = cv2.distanceTransform(contact.view(np.uint8), cv2.DIST_L2, 5) * (step_px * geometry.mm_per_px)
     to_rim = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / RIM_FRACTION
     confidence = np.clip(np.minimum(inside_mm / OUTLINE_MM, to_rim), MIN_CONFIDENCE, 1)
-    contact = contact & np.isfinite(normals).all(axis=2)  # not where a neighbour is outside the disc
+    contact = contact & np.isfinite(normals).all(axis=2)  # drops points with a neighbour outside the disc
     return PressPoints(points[contact], normals[contact], confidence[contact].astype(np.float32))
 
 
 def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
-    """Weight of each point's z in the base frame, (N,): its confidence, and less, the steeper the place.
+    """Weight of each point's z in the base frame, (N,): its confidence, reduced by the slope.
 
-    That is the inverse variance of a height whose point is `_LATERAL_RATIO` times as uncertain sideways.
+    This is the inverse variance of the height of a point that is `_LATERAL_RATIO` times as uncertain sideways.
     """
     cosine = np.abs(press.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - cosine**2) / np.maximum(cosine, 1e-3) ** 2
@@ -97,7 +97,7 @@ def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
 
 
 def _upsample(values: F32, factor: int) -> F32:
-    """Each cell as `factor` x `factor`, bilinear between the cells' middles; as at the border beyond them."""
+    """Divide each cell into `factor` x `factor`, bilinear between the cells' middles, constant beyond them."""
     for axis in (0, 1):
         at = np.clip((np.arange(values.shape[axis] * factor) + 0.5) / factor - 0.5, 0, values.shape[axis] - 1)
         low = np.minimum(at.astype(np.int64), max(values.shape[axis] - 2, 0))
@@ -108,7 +108,7 @@ def _upsample(values: F32, factor: int) -> F32:
 
 
 def _normals(points: F32) -> F32:
-    """Of a grid of points (rows, cols, 3), by central differences; NaN beside a NaN."""
+    """Unit normals of a grid of points (rows, cols, 3) by central differences; NaN next to a NaN."""
     along, across = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normal = np.cross(along, across)
     return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True), np.float32)

@@ -1,15 +1,15 @@
-"""Poses refined on overlaps: where two presses touched the same place, they have to agree on its height.
+"""Refine poses on overlaps: two presses that touched the same place must agree on its height.
 
-Bundle adjustment (Triggs et al., "Bundle adjustment: a modern synthesis", 2000) of heights: all poses are solved for at
-once by Gauss-Newton. The unknown surface is eliminated (the Schur complement): of a cell of the base frame only the
-differences between the presses in it count. Outliers are weighted down by iteratively reweighted least squares with
-Cauchy's weight (Holland and Welsch, "Robust regression using iteratively reweighted least-squares", 1977). Each press
-has a prior at the pose that the robot reported, with the robot's error as its standard deviation; as those errors are
-independent, their mean over many presses holds the map, and it cannot bend.
+Bundle adjustment (Triggs et al., "Bundle adjustment: a modern synthesis", 2000) of heights: Gauss-Newton solves for all
+poses at once. The unknown surface is eliminated (the Schur complement): in a cell of the base frame only the
+differences between its presses count. Iteratively reweighted least squares with Cauchy's weight reduces outliers
+(Holland and Welsch, "Robust regression using iteratively reweighted least-squares", 1977). Each press has a prior at
+the pose that the robot reported, with the robot's error as its standard deviation; these errors are independent, so
+their mean over many presses holds the map and keeps it from bending.
 
 The reconstruction's errors move presses too: a depth that is a tenth too small everywhere in a contact looks like a
-pose that is too high. What poses can explain of them and what they cannot go together, so the differences that are left
-after refinement show how large the former are, whatever the robot's error is (`robots_part`).
+pose that is too high. The part of these errors that poses can explain grows with the part that they cannot, so the
+differences left after refinement show the size of the former, whatever the robot's error is (`robots_part`).
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from tacshade_edge.rigid import Rigid, turn
 from tacshade_edge.types import F64, I64
 
 CELL_MM = 0.7
-POINTS_MAX = 150  # of a press: it has six numbers to find
+POINTS_MAX = 150  # per press, which has six unknowns
 ITERATIONS_MAX = 8
 SURFACE_SIGMA_MM = 0.1
-"""How far the heights of one place, as two presses see them, differ with exact poses."""
-_CAUCHY_MM = 0.15  # a difference of that size counts half
-_CONVERGED_MM = 0.005  # no press moves farther in an iteration
+"""Standard deviation of a place's heights between presses with exact poses."""
+_CAUCHY_MM = 0.15  # a difference of this size counts half
+_CONVERGED_MM = 0.005  # ends when no press moves farther in an iteration
 _CG_ITERATIONS_MAX = 60
-_CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one goes on
-LATERAL_RATIO = 5.0  # a place found beside its own is off in height by the slope times so many height errors
-# How far the reconstruction's errors alone move presses in height, over what they leave in differences: typically, and
-# at most. With exact poses it is 1.1 to 2.5 (tools/studies/stitch_pads.py).
+_CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one continues
+LATERAL_RATIO = 5.0  # lateral over height error of a point
+# Ratio of the moves in height from the reconstruction's errors alone to the differences that they leave: typical and
+# greatest. With exact poses it is 1.1 to 2.5 (tools/studies/stitch_pads.py).
 _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Standard deviation of the robot's reported poses: in each axis, and about each axis through the apex."""
+    """Standard deviations of the robot's reported poses: along each axis, and about each axis through the apex."""
 
     position_mm: float = 0.3
     rotation_deg: float = 0.6
 
 
 def thin_points(press: PressPoints) -> F64:
-    """One point for each small square (`CELL_MM`) of a press, `POINTS_MAX` at most.
+    """Reduce a press to one point for each small square (`CELL_MM`), at most `POINTS_MAX`.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def thin_points(press: PressPoints) -> F64:
     _, index = np.unique(cell[:, 0] * 100_003 + cell[:, 1], return_inverse=True)
     weight = np.bincount(index, press.confidence)
     means = [np.bincount(index, press.confidence * points[:, k]) / weight for k in range(3)]
-    # Errors of neighbouring points go together: more of them do not say more.
+    # Errors of neighbouring points are correlated, so more points add no information.
     full = (CELL_MM / 0.3) ** 2
     thin = np.stack((*means, np.minimum(weight / full, 1.0)), axis=1)
     return thin[:: -(-len(thin) // POINTS_MAX) or 1]
@@ -77,13 +77,13 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
     reported : sequence of Rigid
         ``base_T_sensor`` as the robot reported it.
     centre_mm : float64 (3,)
-        In the sensor frame: what errors of rotation turn about, the undeformed apex.
+        Centre of the rotation errors in the sensor frame, the undeformed apex.
     error : PoseError
 
     Returns
     -------
     list of Rigid
-        ``base_T_sensor``. A press that overlaps no other stays where it was.
+        ``base_T_sensor``. A press that overlaps no other keeps its pose.
     """
     if len(presses) < 2:
         return list(reported)
@@ -101,22 +101,22 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
 
 
 def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64) -> float:
-    """Estimate what part of the refined poses' moves undoes the robot's errors.
+    """Estimate the part of the refined poses' moves that corrects the robot's errors.
 
-    The variance of the moves in height, less what the reconstruction's own errors typically add, over the whole (a
-    component of variance, as Paule and Mandel estimate it); 0 where those errors may be all of it.
+    The variance of the moves in height, less the typical share of the reconstruction's own errors, over the whole (a
+    component of variance, as Paule and Mandel estimate it); 0 if those errors may explain all of it.
 
     Parameters
     ----------
     presses, reported, centre_mm
-        As for `refine_poses`.
+        As in `refine_poses`.
     refined : sequence of Rigid
-        What that found.
+        Result of `refine_poses`.
 
     Returns
     -------
     float
-        0 to below 1. Heights decide: they are what overlaps measure best.
+        0 to below 1. Only heights decide, because overlaps measure them best.
     """
     press_of, points = _joined(presses)
     at, _ = _placed(points, press_of, refined, centre_mm)
@@ -126,7 +126,7 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
     shared = np.bincount(cell)[cell] > 1
     if not shared.any():
         return 0.0
-    own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point so far
+    own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point by this part
     squares = (height - cells.means(height, weight)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
     moves = [(refined[k].apply(centre_mm) - reported[k].apply(centre_mm))[2] for k in np.unique(press_of[shared])]
@@ -137,21 +137,21 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
 
 
 def moved_by_part(reported: Rigid, refined: Rigid, part: float, centre_mm: F64) -> Rigid:
-    """The pose that has gone a part, 0 to 1, of the way from the reported one to the refined one."""
+    """The pose at a part, 0 to 1, of the way from the reported to the refined one."""
     translation_mm = refined.apply(centre_mm) - reported.apply(centre_mm)
     rotation, _ = cv2.Rodrigues(refined.rotation @ reported.rotation.T)
     return _corrected(reported, part * np.concatenate((translation_mm, rotation.ravel())), centre_mm)
 
 
 def correction(reported: Rigid, refined: Rigid, centre_mm: F64) -> tuple[float, float]:
-    """From a reported pose to the refined one: translation in mm at the apex, rotation in degrees."""
+    """Change from a reported to the refined pose: translation in mm at the apex, rotation in degrees."""
     translation_mm = float(np.linalg.norm(refined.apply(centre_mm) - reported.apply(centre_mm)))
     cosine = (np.trace(reported.rotation.T @ refined.rotation) - 1) / 2
     return translation_mm, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def _corrected(pose: Rigid, correction: F64, centre_mm: F64) -> Rigid:
-    """A pose turned about its apex in the base's axes, and shifted."""
+    """Turn a pose about its apex in the base's axes, and shift it."""
     apex = pose.apply(centre_mm)
     rotation = turn(correction[3:]).rotation
     return Rigid(rotation @ pose.rotation, rotation @ (pose.translation_mm - apex) + apex + correction[:3])
@@ -162,7 +162,7 @@ def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, co
     at, lever = _placed(points, press_of, poses, centre_mm)
     cells = overlap_cells(at, points[:, 3], CELL_MM)
     cell, height = cells.of_point, cells.height_mm
-    # How the height that a point gives to its cell's middle changes with translation and rotation.
+    # Change of the height that a point gives to its cell's middle with translation and rotation.
     normal = np.concatenate((-cells.slope, np.ones((len(at), 1))), axis=1)
     jacobian = np.concatenate((normal, np.cross(lever, normal)), axis=1)
     mean = cells.means(height, points[:, 3])
@@ -170,7 +170,7 @@ def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, co
     total = np.bincount(cell, weight)
 
     def eliminated(values: F64) -> F64:
-        """Without each cell's mean: the surface is eliminated."""
+        """Subtract each cell's mean, which eliminates the surface."""
         return np.asarray(values - (np.bincount(cell, weight * values) / total)[cell])
 
     starts = np.searchsorted(press_of, np.arange(len(poses)))
@@ -197,14 +197,14 @@ def _joined(presses: Sequence[F64]) -> tuple[I64, F64]:
 
 
 def _placed(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64) -> tuple[F64, F64]:
-    """Points in the base frame, and from the apex of their press."""
+    """Points in the base frame, and relative to the apex of their press."""
     rotations, shifts = (np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm"))
     at = np.einsum("nij,nj->ni", rotations[press_of], points[:, :3]) + shifts[press_of]
     return at, at - (np.stack([p.apply(centre_mm) for p in poses]))[press_of]
 
 
 def _conjugate_gradients(matrix: Callable[[F64], F64], right: F64, inverse: F64) -> F64:
-    """Preconditioned (Hestenes and Stiefel 1952) with `inverse`, that of the 6 x 6 blocks: block Jacobi."""
+    """Solve by conjugate gradients (Hestenes and Stiefel 1952), with the blocks' `inverse` as preconditioner."""
     x = np.zeros_like(right)
     residual = right.copy()
     z = np.einsum("pij,pj->pi", inverse, residual)

@@ -1,14 +1,14 @@
-"""When a robot that presses has come to rest: once for each contact."""
+"""Detect when a pressing robot has come to rest, once for each contact."""
 
 from __future__ import annotations
 
 REST_NS = 300_000_000
 STEADY_MM = 0.06
-_STEADY_FRACTION = 0.03  # of the depth: a deep contact's trembles more
+_STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
 
 
 class RestDetector:
-    """Fires once in each contact, when its depth has been steady for `REST_NS`."""
+    """Fires once in each contact, after its depth was steady for `REST_NS`."""
 
     def __init__(self) -> None:
         self._fired = False
@@ -16,20 +16,20 @@ class RestDetector:
         self._min_mm = self._max_mm = 0.0
 
     def suppress(self) -> None:
-        """The present contact counts already: it does not fire again."""
+        """Count the present contact as fired, so that it does not fire again."""
         self._fired = True
 
     def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Take the next frame: whether the contact has just come to rest.
+        """Take the next frame, and return whether the contact has just come to rest.
 
         Parameters
         ----------
         t_ns : int
-            Of the frame.
+            Time of the frame.
         contact : bool
-            A valid frame in contact; any other ends the contact.
+            Whether the frame is valid and in contact; any other frame ends the contact.
         depth_mm : float
-            Greatest depth.
+            Greatest depth of the contact.
         """
         if not contact:
             self._fired, self._since_ns = False, 0

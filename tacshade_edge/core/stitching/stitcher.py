@@ -1,7 +1,7 @@
-"""Many presses, one map: their points, brought to the base frame by the robot's poses.
+"""Fuse the points of many presses into one map in the base frame, by the robot's poses.
 
-Poses are as good as the robot. How good is seen from the map itself: where the reconstruction's own errors explain why
-presses would have to move to agree, poses are taken as exact; else presses move by the robot's part (`refinement`).
+Poses are only as good as the robot, as the map itself shows: if the reconstruction's errors explain why presses would
+have to move to agree, the poses are taken as exact; otherwise presses move by the robot's part (`refinement`).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64
 
 POINTS_MAX = 4_000_000
-"""Of all presses together: 16 bytes each, 64 MB."""
-# Where poses are not exact, an outline is where some press is off: there a cell takes more.
+"""Limit for all presses together: 16 bytes each, 64 MB."""
+# If poses are not exact, some press makes the outline wrong, so a cell needs more weight.
 _MIN_WEIGHT_REFINED = 0.15
-_CAUCHY_MM = 0.2  # a point that far from its cell's mean counts half
-# A press that is off its neighbours by so much after refinement, or was moved by so many standard deviations, is none.
+_CAUCHY_MM = 0.2  # a point at this distance from its cell's mean counts half
+# Reject a press that is this far off its neighbours after refinement, or moved by this many standard deviations.
 DEVIATION_MAX_MM = 0.6
 CORRECTION_MAX_SIGMAS = 5.0
 
@@ -42,13 +42,13 @@ class PlacedPress:
     Attributes
     ----------
     base_T_sensor : Rigid
-        As found, or as reported where poses are exact.
+        The pose found, or the reported one if poses are exact.
     correction_mm, correction_deg : float
-        From the reported pose, at the apex.
+        Change from the reported pose, at the apex.
     rejected : Reason or None
-        Why its points are not in the map.
+        Why its points are not in the map; None if they are.
     points : int
-        How many it has.
+        Number of its points.
     """
 
     base_T_sensor: Rigid
@@ -67,9 +67,9 @@ class StitchedMap:
     raster : Raster
     presses : tuple of PlacedPress
     disagreement_mm : float
-        RMS of how far presses would have to move in height to agree; 0 where poses were given as exact.
+        RMS of the moves in height that would make presses agree; 0 if poses were given as exact.
     refined : bool
-        Presses were moved: the poses were not taken as exact.
+        Whether presses were moved because the poses were not taken as exact.
     """
 
     raster: Raster
@@ -80,7 +80,7 @@ class StitchedMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Press:
-    """Points in the sensor frame, their weights in height, and the few that refine its pose."""
+    """Points in the sensor frame, their weights in height, the few that refine the pose, and the reported pose."""
 
     points_mm: F32
     weight: F32
@@ -92,12 +92,12 @@ class _Press:
 
 
 class Stitcher:
-    """Collects presses; the map of those so far is there at any time, the refined one at the end.
+    """Collects presses; the map so far is available at any time, the refined one at the end.
 
     Parameters
     ----------
     apex_mm : float
-        The skin's radius: z of the undeformed apex in the sensor frame.
+        The skin's radius, which is z of the undeformed apex in the sensor frame.
     """
 
     def __init__(self, apex_mm: float) -> None:
@@ -108,28 +108,28 @@ class Stitcher:
 
     @property
     def presses(self) -> int:
-        """How many there are."""
+        """Number of presses."""
         return len(self._presses)
 
     @property
     def points(self) -> int:
-        """How many points they have."""
+        """Number of points of all presses."""
         return self._points
 
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
-        """Add a press as reported; its cost does not grow with the map.
+        """Add a press at its reported pose; the cost does not grow with the map.
 
         Raises
         ------
         ValueError
-            It has no points, or the map is full (`POINTS_MAX`, `surface_map.TILES_MAX`); nothing was added.
+            The press has no points, or the map is full (`POINTS_MAX`, `surface_map.TILES_MAX`); nothing is added.
         """
         count = len(points.points_mm)
         if count == 0:
             raise ValueError("a press without points")
         if self._points + count > POINTS_MAX:
             raise ValueError(f"the map would exceed {POINTS_MAX} points")
-        # A refined pose is turned by a degree or so: that does not change what is steep.
+        # Refinement turns a pose by a degree or so, which hardly changes the slopes.
         weight = height_weight(points, base_T_sensor)
         press = _Press(points.points_mm, weight.astype(np.float32), thin_points(points), base_T_sensor)
         self.map.add(press.at(base_T_sensor), press.weight)
@@ -137,12 +137,12 @@ class Stitcher:
         self._points += count
 
     def finish(self, error: PoseError | None = PoseError()) -> StitchedMap:  # noqa: B008 (frozen)
-        """Find the poses, leave out presses that fit nowhere, fuse again without outlying points.
+        """Find the poses, leave out presses that do not fit, and fuse again without outlying points.
 
         Parameters
         ----------
         error : PoseError or None
-            What the robot's poses are off by if they are not exact; None takes them as exact.
+            Error of the robot's poses if they are not exact; None takes them as exact.
         """
         reported, disagreement_mm = [p.reported for p in self._presses], 0.0
         poses, part = reported, 0.0
@@ -183,8 +183,8 @@ class Stitcher:
         return PlacedPress(pose, correction_mm, correction_deg, rejected, len(press.points_mm))
 
     def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:
-        """The presses in a new map; with Cauchy's weight of each point's distance to a map that was fused before."""
-        fused = SurfaceMap(STEP_MM, bounded=False)  # refined, presses lie a little elsewhere
+        """Fuse the presses into a new map, with Cauchy's weight of each point's distance to the map `before`."""
+        fused = SurfaceMap(STEP_MM, bounded=False)  # refined presses lie slightly elsewhere
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):
             if reason is not None:
                 continue

@@ -1,4 +1,4 @@
-"""A height map of a surface, on a grid in the base frame that grows in tiles: a press costs what it covers."""
+"""A height map of a surface on a grid in the base frame that grows in tiles, so that a press costs what it covers."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from tacshade_edge.types import F32, F64, I64, freeze
 
 STEP_MM = 0.25
-"""About the sensor's own cells on the skin (0.28 mm at a radius of 20 mm): what is coarser smears walls."""
+"""About the size of the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls."""
 TILE = 64
 PRESS_WIDTH_MAX_MM = 200.0
-"""No sensor touches more at once."""
+"""Greatest width of a press of any sensor."""
 TILES_MAX = 1024
-"""Of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
+"""Greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
 _POSITION_MAX_MM = 1e6
 EXTENT_MAX_TILES = 4096
-"""In the map's bounding box, a square metre: its raster has 64 MiB."""
+"""Greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB."""
 BAND_ROWS = 256
 MIN_WEIGHT = 0.07
-"""A cell of less lies beside the contact."""
+"""A cell of less weight lies outside the contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class Raster:
     Attributes
     ----------
     z_mm : float32 (rows, cols)
-        In the base frame; NaN where nothing was touched.
+        In the base frame; NaN where no press touched.
     x0_mm, y0_mm, step_mm : float
         Row i is at y0 + i step, column j at x0 + j step.
     """
@@ -45,7 +45,7 @@ class Raster:
         freeze(self, "z_mm")
 
     def bands(self) -> Iterator[Raster]:
-        """The same, `BAND_ROWS` at a time: what is made of a large map needs little memory beside it."""
+        """The same raster in bands of `BAND_ROWS`, so that processing a large map needs little extra memory."""
         for first in range(0, len(self.z_mm), BAND_ROWS):
             y0_mm = self.y0_mm + first * self.step_mm
             yield Raster(self.z_mm[first : first + BAND_ROWS], self.x0_mm, y0_mm, self.step_mm)
@@ -58,7 +58,7 @@ class Raster:
 
 @dataclass(frozen=True, slots=True)
 class _Overlap:
-    """The nodes that a window and a tile share: their rows and columns in the tile, and those in the window."""
+    """The nodes that a window and a tile share: their rows and columns in the tile and in the window."""
 
     tile: tuple[int, int]
     in_tile: tuple[slice, slice]
@@ -75,7 +75,7 @@ class _Window:
     cols: int
 
     def overlaps(self) -> Iterator[_Overlap]:
-        """With each tile that it lies in."""
+        """The overlap with each tile that the window touches."""
         for tile_row, rows_in_tile, rows in _spans(self.row, self.rows):
             for tile_col, cols_in_tile, cols in _spans(self.col, self.cols):
                 yield _Overlap((tile_row, tile_col), (rows_in_tile, cols_in_tile), (rows, cols))
@@ -90,12 +90,12 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heights:
-    """The z of a map's nodes, a quarter of the map's memory.
+    """The z of a map's nodes, in a quarter of the map's memory.
 
     Attributes
     ----------
     tiles : dict of (int, int) to float32 (TILE, TILE)
-        mm; NaN where the map has none.
+        mm; NaN at holes.
     step_mm : float
     """
 
@@ -103,7 +103,7 @@ class Heights:
     step_mm: float
 
     def z_at(self, points_mm: F64) -> F32:
-        """The z at the nodes nearest to points (N, 3), mm; NaN where there is none."""
+        """The z at the nodes nearest to points (N, 3), mm; NaN at holes."""
         if len(points_mm) == 0:
             return np.zeros(0, np.float32)
         j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
@@ -117,22 +117,22 @@ class Heights:
 
 
 class SurfaceMap:
-    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four around it.
+    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes around it.
 
-    Means are kept as running sums of weight and weight · z, as in Curless and Levoy, "A volumetric method for building
+    The map keeps running sums of weight and weight · z, as in Curless and Levoy, "A volumetric method for building
     complex models from range images", SIGGRAPH 1996. Nodes without a point stay holes.
 
     Parameters
     ----------
     step_mm : float
     bounded : bool
-        False for what was in a bounded map already.
+        False for points that were already in a bounded map.
 
     Raises
     ------
     ValueError
         From `add`: a point is not finite, points lie more than `PRESS_WIDTH_MAX_MM` apart, or the map would get more
-        than `TILES_MAX` tiles or spread over more than `EXTENT_MAX_TILES`; nothing was added then.
+        than `TILES_MAX` tiles or spread over more than `EXTENT_MAX_TILES`; nothing is then added.
     """
 
     def __init__(self, step_mm: float = STEP_MM, *, bounded: bool = True) -> None:
@@ -179,11 +179,11 @@ class SurfaceMap:
 
     @property
     def tiles(self) -> int:
-        """How many there are; each is 64 KiB."""
+        """Number of tiles of 64 KiB each."""
         return len(self._tiles)
 
     def heights(self) -> Heights:
-        """What it is now, without the weights."""
+        """The present heights, without the weights."""
         tiles = {}
         for at, (weight, total) in self._tiles.items():
             tiles[at] = np.full((TILE, TILE), np.nan, np.float32)
@@ -191,12 +191,12 @@ class SurfaceMap:
         return Heights(tiles, self.step_mm)
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
-        """The map's bounding box as one array; a single empty cell while nothing was touched.
+        """The map's bounding box as one array; a single empty cell before the first contact.
 
         Parameters
         ----------
         min_weight : float
-            Cells of less weight are left out.
+            Least weight of a cell; others become holes.
         """
         known = {at: weight >= min_weight for at, (weight, _) in self._tiles.items()}
         known = {at: cells for at, cells in known.items() if cells.any()}
@@ -217,7 +217,7 @@ class SurfaceMap:
 
 
 def _window(i: I64, j: I64, step_mm: float) -> _Window:
-    """The nodes from the least to one after the greatest row and column."""
+    """The window from the smallest row and column to one after the greatest."""
     top, left, bottom, right = int(i.min()), int(j.min()), int(i.max()), int(j.max())
     if max(bottom - top, right - left) * step_mm > PRESS_WIDTH_MAX_MM:
         raise ValueError(f"the points of one press are more than {PRESS_WIDTH_MAX_MM:g} mm apart")
@@ -225,7 +225,7 @@ def _window(i: I64, j: I64, step_mm: float) -> _Window:
 
 
 def _box(tiles: list[tuple[int, int]], before: tuple[int, int, int, int] | None) -> tuple[int, int, int, int]:
-    """First and last row and column of tiles, and of those before."""
+    """First and last row and column of tiles, merged with an earlier box."""
     rows, cols = [row for row, _ in tiles], [col for _, col in tiles]
     if before is not None:
         rows += before[::2]

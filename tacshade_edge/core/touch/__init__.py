@@ -1,1 +1,1 @@
-"""What a controller needs of a touch: a few numbers, by a model that a calibration learnt from labelled frames."""
+"""Reduce a touch to the few numbers that a controller needs, by a model learnt from labelled frames."""

@@ -1,4 +1,4 @@
-"""A frame's touch: by the calibration's model, or without one from height map and shear."""
+"""Compute a frame's touch by the calibration's model, or without one from height map and shear."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Touch, TouchedObject, TouchModel
 
 MARGIN = 1.645
-"""Beyond the labelled range by so many standard deviations a value is an extrapolation."""
+"""A value this many standard deviations beyond the labelled range is an extrapolation."""
 
 PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
-"""What is known without labels."""
+"""Names of the quantities that need no labels."""
 
 PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
-"""One standard deviation of each without labels. On plates of a sensor of the third family they are smaller: 0.28, 1.1,
-1.1, 0.34, 0.42, 2.9 (tools/studies/third_family/touch.py); other objects and real skins are worse."""
+"""Standard deviation of each without labels. Plates on a sensor of the third family have less: 0.28, 1.1, 1.1, 0.34,
+0.42, 2.9 (tools/studies/third_family/touch.py); other objects and real skins are worse."""
 
 
 def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
-    """What a model makes of a frame's features, float32 (D,), and of its imprint (`imprint_of`)."""
+    """The touch that a model predicts from a frame's features, float32 (D,), and its imprint (`imprint_of`)."""
     found = predict(model, features)
     alike = found.alike and belongs(model, found.values, imprint)
     if not alike:
@@ -46,7 +46,7 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
 
 
 def touch_without_labels(objects: Sequence[TouchedObject], shear_mm: tuple[float, float] | None) -> Touch:
-    """The greatest object's depth, tilt of its plane and twist, and the contact's mean shear."""
+    """The touch without a model: greatest depth, tilt of the largest object's plane and its twist, and mean shear."""
     first = objects[0]
     x, y, z = first.normal
     tilt_x_deg, tilt_y_deg = -math.degrees(math.asin(max(-1.0, min(1.0, y)))), math.degrees(math.atan2(x, z))

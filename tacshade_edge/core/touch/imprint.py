@@ -1,8 +1,8 @@
-"""Does the imprint that a height map shows belong to the numbers that a touch model answers?
+"""Check that the imprint of a height map fits the numbers that a touch model predicts.
 
-Pooled features of a ball's and a plate's imprint are alike, so a model of plates answers a ball, and wrongly. Depth,
-area, volume and length of the two are not alike: over the labelled table each is a quadratic function of the answered
-numbers, and a frame that is far from it shows another object.
+Pooled features of a ball's and a plate's imprint are alike, so a model of plates accepts a ball, and is wrong. Their
+depth, area, volume and length differ: over the labelled table each is a quadratic function of the predicted numbers,
+and a frame far from it shows another object.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tacshade_edge.types import F32, F64, TouchedObject, TouchModel
 
 
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
-    """Greatest depth, roots of area and volume, and length of the greatest object: float32 (4,), mm."""
+    """Greatest depth, square root of area, cube root of volume, and length of the largest object: float32 (4,), mm."""
     depth_mm = max(one.depth_max_mm for one in objects)
     side_mm = math.sqrt(sum(one.area_mm2 for one in objects))
     edge_mm = math.cbrt(volume_mm3)
@@ -25,7 +25,7 @@ def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
 
 
 def terms(values: F64, low: F32, high: F32) -> F64:
-    """1, the quantities (n, Q) in parts of the labelled range, and all their products of two: (n, T)."""
+    """1, the quantities (n, Q) relative to the labelled range, and all their pairwise products: (n, T)."""
     half = np.where(high > low, (high - low) / 2, 1)
     parts = (values - (low + high) / 2) / half
     first, second = np.triu_indices(parts.shape[1])
@@ -34,6 +34,6 @@ def terms(values: F64, low: F32, high: F32) -> F64:
 
 
 def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
-    """Whether a frame's imprint is like those of the table at the answered values, float64 (Q,)."""
+    """Whether a frame's imprint is like those of the table at the predicted values, float64 (Q,)."""
     left = imprint - terms(values[None], model.low, model.high)[0] @ model.imprint_weights
     return bool(left @ model.imprint_precision @ left <= model.imprint_max)

@@ -1,7 +1,7 @@
-"""The touch model in closed form from a table of labelled frames: no step of descent, no random number.
+"""Learn the touch model in closed form from a table of labelled frames: no gradient descent, no random numbers.
 
-Kernel width and regularisation are those with the least error on held-out groups of frames, which a linear model gives
-without being fitted again ([1] eq. 5.12 for one frame, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
+Kernel width and regularisation minimise the error on held-out groups of frames, which a linear model gives without
+another fit ([1] eq. 5.12 for one frame, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
 
 References
 ----------
@@ -28,50 +28,50 @@ from tacshade_edge.types import F32, F64, I64, TouchModel
 COMPONENTS = 128
 CENTRES = 1000
 FUNCTIONS = 350
-"""Of the basis, whose variance is kept one by one. With these a model takes 3.8 MB at most in a file."""
+"""Number of basis functions with an individual variance. With these a model takes at most 3.8 MB in a file."""
 WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)
-"""Of the kernel, in the root mean square of a frame's coordinates."""
+"""Kernel widths to try, relative to the root mean square of a frame's coordinates."""
 RIDGES = np.logspace(-3, 3, 25)
 LEAST_ROWS = 40
 LEAST_GROUPS = 5
-"""Of rows that have a quantity: a press that is held out needs others to be predicted from."""
+"""Least number of groups with a quantity: the prediction of a held-out press needs others."""
 FOLDED_ROWS = 1000
-"""A larger table's frames are held out one group at a time from components that they were part of."""
+"""Most rows of a table whose held-out frames are left out of the components too; larger ones include them."""
 FOLDS = 10
 SEEN_ERRORS = 2.0
-"""A held-out R² below so many standard deviations of what chance gives, 1 / √n, or below `SEEN`: it cannot be seen."""
+"""Least held-out R² of a seen quantity, in standard deviations of chance, 1 / √n; also at least `SEEN`."""
 SEEN = 0.1
 Z_90 = 1.645
 ANOTHER = 3.0
-"""An imprint is another object's beyond so many times what the squared distance of 95 in 100 held-out ones reaches: so
-few that a torn map in the table does not widen it."""
+"""An imprint is another object's beyond this multiple of the 95th percentile of held-out squared distances, which a
+torn map in the table does not widen."""
 IMPRINT_RIDGE = 3.0
 LEAST_DEVIATION = 1e-3
-"""Of an imprint's number over the table, in mm, and of a held-out one's variance, in parts of the table's."""
+"""Least deviation of an imprint's number over the table, in mm, and least held-out variance relative to the table's."""
 UNLIKE = 1.5
-"""A frame is unlike the table beyond so many times what 99 of 100 held-out frames of it reach."""
+"""A frame is unlike the table beyond this multiple of the 99th percentile of held-out frames."""
 CONTRADICTS = 5.0
-"""A row whose held-out residual is beyond so many robust standard deviations contradicts the others."""
+"""A row contradicts the others if its held-out residual exceeds this many robust standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityReport:
-    """How well held-out frames are answered.
+    """The quality of the answers for held-out frames.
 
     Attributes
     ----------
     name : str
     rows : int
-        With a label.
+        Number of rows with a label.
     error : float
         Mean absolute error.
     r2 : float
     coverage_90 : float
         Part of the labels in the 90 % interval.
     error_twice, error_four_times : float
-        To expect with twice and four times the labels, by the error's power law in their number.
+        Expected errors with twice and four times the labels, by the error's power law in their number.
     seen : bool
-        Whether the model answers it.
+        Whether the model answers the quantity.
     contradicting : tuple of int
         Rows that contradict the others.
     """
@@ -89,7 +89,7 @@ class QuantityReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearntTouch:
-    """A model (None where no quantity is seen) and what it is worth."""
+    """A model (None if no quantity is seen) and its quality."""
 
     model: TouchModel | None
     reports: tuple[QuantityReport, ...]
@@ -113,9 +113,9 @@ class _Space:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Functions of the coordinates that are uncorrelated over the table.
+    """Functions of the coordinates, uncorrelated over the table.
 
-    `values` is (n, K), its squares add to `power` (K,); `unreached` (n,) is what the centres leave of the kernel.
+    `values` is (n, K), `power` (K,) the sums of its squares, `unreached` (n,) the kernel's variance beyond the centres.
     """
 
     width: float
@@ -128,9 +128,9 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and of each labelled row the held-out residual and variance, in parts of the noise's.
+    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise.
 
-    The variance is NaN where it says nothing of other frames.
+    The variance is NaN for rows that do not represent other frames.
     """
 
     rows: I64
@@ -142,7 +142,7 @@ class _Solved:
 
     @property
     def noise(self) -> float:
-        """A label's standard deviation about the model, such that the 90 % interval holds 90 % of held-out rows."""
+        """Standard deviation of a label about the model for which the 90 % interval holds 90 % of held-out rows."""
         return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
 
 
@@ -164,11 +164,11 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
     imprints : float32 (n, I)
         See `imprint_of`.
     names : sequence of str
-        Of the quantities.
+        Names of the quantities.
     labels : float64 (n, Q)
-        NaN where a frame has none; each quantity has `LEAST_ROWS` or more, in `LEAST_GROUPS` or more.
+        NaN if a frame has no label; each quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups.
     groups : int64 (n,)
-        Frames of one press have one number: they are held out together.
+        Frames of one press share a number, and are held out together.
     networks : str
         See `TouchModel`.
     """
@@ -183,7 +183,7 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
     limits, solved = _judged(features, labels, groups, basis.width, solved)
     if len(features) > FOLDED_ROWS:
         solved = [_as_others(basis, space.at, one) for one in solved]
-    # A frame of the table itself is like the table.
+    # The table's own frames are like the table.
     own = float(leverage(space.at, space.spread.astype(np.float64)).max())
     reports = tuple(_report(name, basis, labels[:, q], groups, solved[q]) for q, name in enumerate(names))
     kept = [q for q, report in enumerate(reports) if report.seen]
@@ -224,7 +224,7 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
 
 
 def _variance(labels: F64) -> float:
-    """Above 0 also where all labels are the same."""
+    """Variance of the labels, above 0 even if all are equal."""
     return max(float(np.var(labels)), 1e-12)
 
 
@@ -243,7 +243,7 @@ def _space(features: F32) -> _Space:
         components = vectors[:, : -count - 1 : -1].astype(np.float32)
     at = standard @ components
     scale = float(np.sqrt((at.astype(np.float64) ** 2).sum(axis=1).mean())) or 1.0
-    # Stored in 16 bits, and so rounded before anything is learnt from them.
+    # Rounded first, because the file stores 16 bits.
     components = (components / np.float32(scale)).astype(np.float16).astype(np.float32)
     return _Space(mean, deviation, components, scale, (standard @ components).astype(np.float64))
 
@@ -257,7 +257,7 @@ def _basis(at: F64, width: float) -> _Basis:
     parts = at.shape[1]
     power, turned = np.linalg.eigh(kernel_values(centres, centres, width)[:, parts:])
     keep = power > 1e-6 * power[-1]
-    # The centres' functions as a Gaussian process weighs them: K_zz^(-1/2).
+    # The centres' functions with the weights of a Gaussian process: K_zz^(-1/2).
     matrix = np.zeros((parts + len(centres), parts + int(keep.sum())))
     matrix[:parts, :parts] = np.eye(parts)
     matrix[parts:, parts:] = turned[:, keep] / np.sqrt(power[keep])
@@ -268,7 +268,7 @@ def _basis(at: F64, width: float) -> _Basis:
 
 
 def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
-    """Least squares with the ridge that held-out groups ask for."""
+    """Solve by least squares with the ridge of least held-out error."""
     rows = np.flatnonzero(np.isfinite(labels))
     some = len(rows) < len(basis.values)
     values, power = basis.values[rows], basis.power
@@ -291,7 +291,7 @@ def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
 
 
 def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
-    """With the variances that the model gives frames that it does not know: those of rows that are no centres."""
+    """Replace the variances by those that the model gives unknown frames; rows that are centres have none."""
     values = basis.values[solved.rows][:, -FUNCTIONS:]
     precision = 1 / (basis.power[-FUNCTIONS:] * len(solved.rows) / len(at) + solved.ridge)
     variances = (values * values) @ precision + unreached(at[solved.rows], values) / solved.ridge
@@ -300,7 +300,7 @@ def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
 
 
 def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
-    """Residuals and variances of the rows, each predicted by the other groups."""
+    """Residuals and variances of the rows, each predicted from the other groups."""
     weighted = values * inverse
     residuals = left - weighted @ at
     own = (weighted * values).sum(axis=1) + 1 / len(values)
@@ -318,14 +318,14 @@ def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tup
 
 
 def _held_out_values(basis: _Basis, labels: F64, solved: _Solved) -> F64:
-    """What the other groups answer for each labelled row, and the model for the rest."""
+    """Predictions from the other groups for each labelled row, and from the model for the rest."""
     values = solved.offset + basis.values @ solved.weights
     values[solved.rows] = labels[solved.rows] - solved.residuals
     return values
 
 
 def _imprint(imprints: F64, values: F64, groups: I64) -> _Imprint:
-    """Least squares from the quantities' terms, (n, T), and how far held-out groups are off."""
+    """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of held-out groups."""
     mean, deviation = imprints.mean(axis=0), np.maximum(imprints.std(axis=0), LEAST_DEVIATION)
     standard = (imprints - mean) / deviation
     power, turned = np.linalg.eigh(values.T @ values)
@@ -364,14 +364,14 @@ def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved)
 
 
 def _coverage(scaled: F64) -> float:
-    """How many residuals of each half the interval by the other half's holds."""
+    """The part of each half's residuals inside the interval from the other half, averaged."""
     scaled = scaled[np.isfinite(scaled)]
     halves = scaled[::2], scaled[1::2]
     return float(np.mean([np.mean(a <= np.quantile(b, 0.9)) for a, b in (halves, halves[::-1])]))
 
 
 def _exponent(basis: _Basis, labels: F64, groups: I64, error: float) -> float:
-    """P of error ~ 1 / n^p, from this table and half of its groups; 0 to 0.5, no more than noise that averages out."""
+    """Exponent p of error ~ 1 / n^p, from the table and half of its groups; 0 to 0.5, the value for averaged noise."""
     half = np.where(np.isin(groups, np.unique(groups)[::2]), labels, np.nan)
     if np.isfinite(half).sum() < LEAST_ROWS // 2:
         return 0.0
@@ -382,9 +382,9 @@ def _exponent(basis: _Basis, labels: F64, groups: I64, error: float) -> float:
 def _judged(
     features: F32, labels: F64, groups: I64, width: float, solved: Sequence[_Solved]
 ) -> tuple[tuple[float, float], list[_Solved]]:
-    """The greatest leverage and residual of frames like the table's; residuals and variances of a small table's rows.
+    """Limits of leverage and residual for frames like the table's, and `solved` with a small table's held-out values.
 
-    Both are of frames that were held out before the components were found, which few frames describe too well.
+    They are of frames held out before the components were found, because components of few frames fit these too well.
     """
     chosen = np.linspace(0, len(features) - 1, min(FOLDED_ROWS, len(features))).astype(int)
     whole = len(chosen) == len(features)
@@ -411,7 +411,7 @@ def _judged(
     limits = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
     if not whole:
         return (limits[0], limits[1]), list(solved)
-    # A fold may hold out every row that has a quantity: then what `_solve` found stands.
+    # A fold may hold out every row with a quantity: then keep the values from `_solve`.
     folded = [
         (residuals[one.rows], variances[one.rows]) for one, (residuals, variances) in zip(solved, held_out, strict=True)
     ]
@@ -422,7 +422,7 @@ def _judged(
 
 
 def _of_fold(basis: _Basis, labels: F64, values: F64, at: F64, ridge: float) -> tuple[F64, F64]:
-    """Predictions and their variances, in parts of the noise's, of frames that the fold's rows do not hold."""
+    """Predictions for held-out frames, and their variances relative to the noise."""
     some = np.isfinite(labels)
     rows = basis.values[some]
     inverse = np.linalg.inv(rows.T @ rows + ridge * np.eye(rows.shape[1]))

@@ -1,1 +1,1 @@
-"""What several sensors' processes and their hand's own have between them."""
+"""The hand's own process, and the lines between it and the sensors' processes."""

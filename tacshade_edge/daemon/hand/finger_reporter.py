@@ -1,4 +1,4 @@
-"""What a sensor's process reports to its hand of each frame."""
+"""Reports a sensor's frames to its hand, from the sensor's process."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Need
 
-PERIOD_NS: Final = 100_000_000  # without contact; in contact for every frame
+PERIOD_NS: Final = 100_000_000  # without contact; in contact, every frame is reported
 
 
 class FingerReporter(FrameObserver):
-    """One sensor as a finger: reports while somebody listens to the hand, and then asks for depth."""
+    """One sensor as a finger: while somebody listens to the hand, it requests depth and reports."""
 
     def __init__(self, line: FingerLine, hand_T_sensor: Rigid) -> None:
         self._line = line
@@ -24,11 +24,11 @@ class FingerReporter(FrameObserver):
         self._reported_ns = 0
 
     def need(self) -> Need:
-        """How much of the next frame the hand asks for."""
+        """How much of the next frame the hand needs."""
         return Need.DEPTH if self._line.wanted else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """Report a frame's result: each in contact, each change, and else ten times a second."""
+        """Report a frame's result: every one in contact, every change, and otherwise ten a second."""
         if (result := seen.reconstruction) is None or not self._line.wanted:
             self._reported = None
             return
@@ -38,11 +38,11 @@ class FingerReporter(FrameObserver):
             self._line.report(finger_of(result, self._hand_T_sensor))
 
     def settings_changed(self, settings: Settings) -> None:
-        """Take over where the sensor is in its hand."""
+        """Take the sensor's new pose in its hand."""
         if settings.hand_T_sensor:
             self._hand_T_sensor = from_seven(settings.hand_T_sensor)
 
     def source_changed(self, source: SourceState) -> None:
-        """Report that no usable frames come, whoever listens."""
+        """Report that no usable frames come, even if nobody listens."""
         if source.reason:
             self._line.report(away(source.reason))

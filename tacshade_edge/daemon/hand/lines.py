@@ -1,7 +1,7 @@
-"""The ways from the fingers' processes to the hand's, made before any of them is forked.
+"""The lines from the fingers' processes to the hand's process, made before any of them is forked.
 
-Each finger has a pair of datagram sockets of its own: who fills it harms no other, what comes out of it is of that
-finger, and neither end waits. What the hand wants is one byte of memory that all share.
+Each finger has its own pair of datagram sockets: a finger that fills its line harms no other, what comes out of a line
+is that finger's, and neither end waits. One byte of shared memory holds what the hand wants.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ BYTES_MAX = 1 << 15
 
 
 class FingerLine:
-    """A finger's end. Without a hand's process to read it the kernel takes some hundred messages, and then no more."""
+    """A finger's end. If no hand's process reads it, the kernel takes some hundred messages and then no more."""
 
     def __init__(self, sock: socket.socket, wanted: mmap.mmap) -> None:
         self._sock = sock
@@ -26,35 +26,35 @@ class FingerLine:
 
     @property
     def wanted(self) -> bool:
-        """Somebody listens to the hand."""
+        """Whether somebody listens to the hand."""
         return self._wanted[0] != 0
 
     def report(self, finger: Finger) -> None:
-        """Send, or drop what has no room; the next comes soon."""
+        """Send a report, or drop it if there is no room; the next comes soon."""
         with contextlib.suppress(OSError):
             self._sock.send(encode_finger(finger))
 
     def close(self) -> None:
-        """No more of it."""
+        """Close this end."""
         self._sock.close()
 
 
 class HandLine:
-    """The hand's end of one finger's."""
+    """The hand's end of one finger's line."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
 
     def fileno(self) -> int:
-        """For a selector."""
+        """The file descriptor, for a selector."""
         return self._sock.fileno()
 
     def close(self) -> None:
-        """No more of it."""
+        """Close this end."""
         self._sock.close()
 
     def take(self) -> Finger | None:
-        """The oldest that waits; None when none does. Raises DecodeError."""
+        """The oldest report that waits; None if none does. Raises DecodeError."""
         try:
             return decode_finger(self._sock.recv(BYTES_MAX))
         except BlockingIOError:
@@ -62,12 +62,12 @@ class HandLine:
 
 
 class Lines:
-    """All of a hand's.
+    """All lines of a hand.
 
     Parameters
     ----------
     names : sequence of str
-        The fingers'.
+        The fingers' ids.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The hand's own process: hears its fingers, publishes their objects. It sees no frame and opens no device."""
+"""The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device."""
 
 from __future__ import annotations
 
@@ -30,18 +30,17 @@ _log = logging.getLogger(__name__)
 STREAM: Final = "objects"
 TICK_S: Final = 1.0
 AT_ONCE: Final = 64
-LOOK_S: Final = 0.25  # for somebody who begins to listen
+LOOK_S: Final = 0.25  # between two checks for a new listener
 STOPPED_S: Final = 1.9
 
 
 class HandProcess:
     """One hand's conversation with its fingers and the broker.
 
-
     Raises
     ------
     ConfigError
-        Settings of the broker that can never work.
+        The broker's settings can never work.
     """
 
     def __init__(self, hand: Hand, lines: Lines) -> None:
@@ -62,7 +61,7 @@ class HandProcess:
             self._selector.register(line, selectors.EVENT_READ, (name, line))
 
     def stop(self) -> None:
-        """Ask `run` to end; may be called from a signal handler."""
+        """Make `run` end; a signal handler may call it."""
         self._stopping = True
         self._rouse()
 
@@ -72,7 +71,7 @@ class HandProcess:
         Raises
         ------
         BaseException
-            Whatever left a thread: the broker then publishes the last will.
+            The exception that ended a thread; the broker then publishes the last will.
         """
         share_free_memory()
         with crashes_to(self._on_crash):
@@ -117,7 +116,7 @@ class HandProcess:
                 raise error
 
     def _hear(self, name: str, line: HandLine) -> None:
-        """Take what a finger reported; of one that never stops not all at once."""
+        """Take a finger's reports, but only so many at once: a finger may never stop."""
         try:
             for finger in itertools.islice(iter(line.take, None), AT_ONCE):
                 self._heard[name] += 1
@@ -136,10 +135,10 @@ class HandProcess:
         }
         self._link.set_retained("health", json_payload.encode_json(health), qos=0)
 
-    # What other threads call.
+    # Other threads call these.
 
     def _rouse(self) -> None:
-        with contextlib.suppress(OSError):  # it is awake, or at its end
+        with contextlib.suppress(OSError):  # it is awake already, or has ended
             self._wake.send(b"\0")
 
     def _on_crash(self, crash: Crash) -> None:
@@ -152,10 +151,10 @@ class HandProcess:
 
 
 def run(hand: Hand, lines: Lines) -> None:
-    """Be a hand's process until SIGTERM or SIGINT. Raises ConfigError as `HandProcess`."""
+    """Run a hand's process until SIGTERM or SIGINT. Raises ConfigError as `HandProcess` does."""
     links.check_broker_files(hand.common)
     process = HandProcess(hand, lines)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: process.stop())
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what a reload changes is the fingers'
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a reload changes only the fingers
     process.run()

@@ -1,1 +1,1 @@
-"""Frames from the source to the sink: two threads, the mailbox between them, the ledger."""
+"""Moves frames from the source to the observers: two threads, the mailbox between them, the ledger."""

@@ -1,4 +1,4 @@
-"""Every captured frame's one outcome, and how long the stages took."""
+"""Records one outcome for every captured frame, and the durations of the stages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Literal
 
 FrameOutcome = Literal["published", "superseded", "without_contact", "unasked", "invalid", "failed"]
 
-# Figures are over the latest this many frames: some seconds at camera rates.
+# Percentiles cover this many of the latest frames: some seconds at camera rates.
 WINDOW_FRAMES = 512
 
 
@@ -22,22 +22,22 @@ class Counts:
     Attributes
     ----------
     captured : int
-        The source delivered them (undecodable ones too).
+        The source delivered them (including undecodable ones).
     published : int
         Their height map was handed to the broker.
     superseded : int
-        A newer frame took their place before they were reconstructed or sent.
+        A newer frame replaced them before they were reconstructed or sent.
     without_contact : int
-        Reconstructed, nothing touched, nothing to send.
+        Reconstructed; nothing touched, so there was nothing to send.
     unasked : int
-        In contact, but nobody subscribes to the height map: not sent, and no further reconstructed than is needed.
-        Or not looked at, where nobody needs any frame.
+        In contact, but nobody subscribes to the height map: not sent, and reconstructed only as far as needed.
+        Also frames that were skipped because nobody needs any.
     invalid : int
         Could not be used (black, torn, wrong size...).
     failed : int
-        Could not be decoded, or not be sent.
+        Could not be decoded or sent.
     pending : int
-        Still on their way at this instant; 0 after a stop.
+        Still in progress; 0 after a stop.
     """
 
     captured: int = 0
@@ -50,12 +50,12 @@ class Counts:
     pending: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """By name."""
+        """The counts by name."""
         return asdict(self)
 
 
 class FrameLedger:
-    """Books every frame in once and out once; thread-safe. A frame booked out twice is a defect: KeyError."""
+    """Records each frame's arrival and its one outcome; thread-safe. A second outcome is a defect: KeyError."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -64,7 +64,7 @@ class FrameLedger:
         self._closed = False
 
     def captured(self, seq: int) -> None:
-        """A frame arrived."""
+        """Record that a frame arrived."""
         with self._changed:
             if self._closed:
                 return
@@ -74,21 +74,21 @@ class FrameLedger:
             self._counts.captured += 1
 
     def undecodable(self) -> None:
-        """Something arrived that was no frame."""
+        """Record that something arrived that was no frame."""
         with self._changed:
             if not self._closed:
                 self._counts.captured += 1
                 self._counts.failed += 1
 
     def unasked(self) -> None:
-        """A frame arrived that nobody needs and nothing looks at."""
+        """Record that a frame arrived that nobody needs and nothing looks at."""
         with self._changed:
             if not self._closed:
                 self._counts.captured += 1
                 self._counts.unasked += 1
 
     def settle(self, seq: int, outcome: FrameOutcome) -> None:
-        """A frame met its end."""
+        """Record a frame's outcome."""
         with self._changed:
             if not self._closed:
                 self._open.remove(seq)
@@ -96,7 +96,7 @@ class FrameLedger:
                 self._changed.notify_all()
 
     def close(self, timeout_s: float) -> int:
-        """Wait for the open frames, then book the rest as failed and nothing more; how many those were."""
+        """Wait for the open frames, record the rest as failed and nothing after that; return how many failed."""
         with self._changed:
             self._changed.wait_for(lambda: not self._open, timeout_s)
             given_up = len(self._open)
@@ -106,7 +106,7 @@ class FrameLedger:
             return given_up
 
     def counts(self) -> Counts:
-        """A consistent copy."""
+        """A consistent copy of the counts."""
         with self._changed:
             return Counts(**{**asdict(self._counts), "pending": len(self._open)})
 
@@ -119,7 +119,7 @@ class Timings:
         self._ms: dict[str, deque[float]] = {}
 
     def add(self, ms: Mapping[str, float]) -> None:
-        """One frame's durations."""
+        """Add one frame's durations."""
         with self._lock:
             for name, value in ms.items():
                 self._ms.setdefault(name, deque(maxlen=WINDOW_FRAMES)).append(value)
@@ -135,12 +135,12 @@ class Timings:
 
 
 class StageTimer:
-    """Times the stages of one frame after the other; one thread's."""
+    """Times the stages of one frame after another, in one thread."""
 
     def __init__(self) -> None:
-        self.ms: dict[str, float] = {}  # of the frame in work
-        self.last_ns = 0  # CLOCK_MONOTONIC, when its latest stage ended
-        self.ended = 0  # stages of all frames
+        self.ms: dict[str, float] = {}  # of the current frame
+        self.last_ns = 0  # end of its latest stage, CLOCK_MONOTONIC
+        self.ended = 0  # number of stages, of all frames
 
     def begin(self) -> None:
         """Begin a frame."""

@@ -9,10 +9,10 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """A slot for one item, with one thread that takes.
+    """A slot for one item, from which one thread takes.
 
-    Two locks in place of a condition: `put` wakes the taker after its own last step, so that the taker never wakes to
-    wait for it.
+    Two locks replace a condition: `put` wakes the taker in its last step, so that the taker never wakes only to wait
+    for `put`.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Mailbox(Generic[T]):
 
         Returns
         -------
-        The item that it replaced, or `item` itself when the mailbox is closed: the caller accounts for it.
+        The item that it replaced, or `item` itself if the mailbox is closed: the caller accounts for it.
         """
         with self._lock:
             if self._closed:
@@ -47,7 +47,7 @@ class Mailbox(Generic[T]):
         return item
 
     def close(self) -> None:
-        """Let the taker have what is there, then None."""
+        """Let the taker have the item in the slot, then None."""
         with self._lock:
             wakes = self._item is None and not self._closed
             self._closed = True

@@ -1,4 +1,4 @@
-"""What sees frames: one value that holds all that is known of a frame, and one base class for whoever sees it."""
+"""The result of a frame, and the base class of the parts of the daemon that see frames."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
-# After the beginning of a stop, whatever hangs: what is done early leaves its time to the next.
+# Deadlines after the beginning of a stop, even if something hangs: a part that ends early leaves its time to the next.
 SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S = 0.1, 0.9, 1.1
 RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
 
 
 @dataclass(frozen=True, slots=True)
 class SourceState:
-    """How the frame source is; `reason` is None when all is well."""
+    """State of the frame source; `reason` is None when all is well."""
 
     state: Literal["streaming", "away", "unusable", "ended"]
     reason: Reason | None = None
@@ -28,18 +28,18 @@ class SourceState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """A frame and what came of it.
+    """A frame and its result.
 
     Attributes
     ----------
     frame : Frame
-        With its pose, where it is known.
+        With its pose, if known.
     calibration : Calibration or None
-        Of the sensor that gave the frame; None: there is none yet, and every reconstruction is invalid.
+        Of the sensor that took the frame; None if there is none yet, and every reconstruction is then invalid.
     reconstruction : Reconstruction or None
-        None: a contact whose depth nobody needed.
+        None for a contact whose depth nobody needed.
     step_ms : float
-        How long the reconstruction took; 0 where nobody measured it.
+        Duration of the reconstruction; 0 if it was not measured.
     """
 
     frame: Frame
@@ -49,53 +49,53 @@ class FrameResult:
 
 
 class FrameObserver:
-    """A part of the daemon that sees frames; it overrides what it does, and nothing else happens.
+    """A part of the daemon that sees frames; subclasses override what they need, and the defaults do nothing.
 
-    The thread `grab` calls `tap`, and `need` too while nobody needs a frame; `reconstruct` calls `need` and `see`. None
-    of them may wait. The main thread calls the others; `answer` comes from any thread.
+    The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need` and `see`. None of
+    these may wait. The main thread calls the others, except `answer`, which any thread may call.
 
     Attributes
     ----------
     health_key : str
-        Where ``health`` has what `health` returns; empty: nowhere.
+        Key in ``health`` for what `health` returns; empty for no key.
     stop_s : float
-        How long after the beginning of a stop `stop` is to have returned. The earliest is called first.
+        When `stop` must have returned, after the beginning of a stop. The part with the earliest time stops first.
     """
 
     health_key: ClassVar[str] = ""
     stop_s: ClassVar[float] = THREADS_STOPPED_S
 
     def start(self) -> None:
-        """Begin: the threads of the pipeline run."""
+        """Start; the pipeline's threads run already."""
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:
-        """What takes each frame that the source gives, whatever becomes of it; None while nothing does."""
+        """The function that takes each frame from the source, whatever its outcome; None while nothing takes them."""
         return None
 
     def need(self) -> Need:
-        """How much of the next frame is to be reconstructed."""
+        """How much of the next frame this part needs."""
         return Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """See a frame that was reconstructed."""
+        """See a reconstructed frame."""
 
     def poll(self) -> None:
-        """Do what is due; several times a second."""
+        """Do what is due; called several times a second."""
 
     def health(self) -> Mapping[str, Any] | None:
-        """Report for ``health``, once a second."""
+        """The report for ``health``, once a second."""
         return None
 
     def settings_changed(self, settings: Settings) -> None:
-        """Follow settings that were read again."""
+        """Apply settings that were read again."""
 
     def source_changed(self, source: SourceState) -> None:
-        """Learn of a new state of the source, which is being published."""
+        """Note a new state of the source, which is being published."""
 
     def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Take the outcome of a request that this part made; False: another made it."""
+        """Take the outcome of a request that this part made; return False if another part made it."""
         return False
 
     def stop(self, timeout_s: float) -> None:
-        """End, within this time."""
+        """Stop within this time."""

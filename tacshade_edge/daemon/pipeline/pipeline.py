@@ -21,14 +21,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """An exception that left a thread."""
+    """An exception that ended a thread."""
 
     error: BaseException
     thread: str
 
 
 class Pipeline:
-    """The graph, and what is counted in it.
+    """The graph and its counts.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ class Pipeline:
     ledger : FrameLedger
     timings : Timings
     report : callable
-        Gets each new `SourceState`, in the grab thread.
+        Receives each new `SourceState`, in the grab thread.
     posed : callable or None
-        Gives a frame its pose.
+        Adds the pose to a frame.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Pipeline:
             thread.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """Stop reading, finish the frame in the mailbox; False when a thread was not done by then and is left."""
+        """Stop reading and finish the frame in the mailbox; return False if a thread did not end in time."""
         deadline = time.monotonic() + timeout_s
         grab, reconstruct = self._threads
         self.grab.stop()
@@ -85,7 +85,7 @@ class Pipeline:
 
 @contextmanager
 def crashes_to(report: Callable[[Crash], None]) -> Iterator[None]:
-    """Report every exception that leaves any thread, so that the process never lives on in half."""
+    """Report every exception that ends any thread, so that the process never runs on with a thread missing."""
 
     def hook(crash: threading.ExceptHookArgs) -> None:
         if crash.exc_value is not None:

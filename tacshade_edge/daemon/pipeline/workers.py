@@ -24,26 +24,26 @@ _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 LOOK_EVERY = 6
-"""Of frames that nobody needs one in so many is looked at: for the sensor's state and for a reference that follows.
-After an invalid one every frame is: else frames that nobody looked at would hide that none can be used. The others
-cost what the source's `skip` costs: they are neither copied nor handed to another thread."""
+"""One in this many frames that nobody needs is examined, for the sensor's state and for a reference that follows.
+After an invalid frame every one is: otherwise skipped frames would hide that none can be used. A skipped frame costs
+only the source's `skip`: it is neither copied nor passed to another thread."""
 
 
 class Grab:
-    """Reads the source for ever; a lost one is opened again with growing pauses.
+    """Reads the source until it ends, and reopens a lost one with growing pauses.
 
     Parameters
     ----------
     source : FrameSource
     mailbox : Mailbox of Frame
-        Newest wins: the source is never kept waiting.
+        The newest frame wins: the source never waits.
     ledger : FrameLedger
     report : callable
-        Called in this thread with each new `SourceState`, never twice with the same.
+        Called in this thread with each new `SourceState`, never twice in a row with the same.
     observers : sequence of FrameObserver
-        A `tap` of theirs takes every frame.
+        Their `tap` takes every frame.
     wants_next : callable
-        Whether the next frame goes to the mailbox; asked once for each, before it comes.
+        Whether the next frame goes to the mailbox; called once for each frame, before it comes.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Grab:
         self._wants_next = wants_next
 
     def stop(self) -> None:
-        """Make `run` return after the read that it is in."""
+        """Make `run` return after its current read."""
         self._stop.set()
 
     def run(self) -> None:
@@ -97,7 +97,7 @@ class Grab:
                 _log.debug("%s", error)
                 self.attempts += 1
                 self._ledger.undecodable()
-                if self._reported is None:  # nothing to see from the start; in a stream it is one counted frame
+                if self._reported is None:  # before any frame it is the source's state; in a stream it only counts
                     self._change_state(SourceState("away", error.reason))
                 continue
             if not went_on:
@@ -109,7 +109,7 @@ class Grab:
         return False
 
     def _read(self, wanted: bool) -> bool:
-        """Take the next frame; False at the end."""
+        """Read the next frame and pass it on; False at the end."""
         if (frame := self._source.read()) is None:
             return False
         for each in self._tapping:
@@ -124,7 +124,7 @@ class Grab:
         return True
 
     def _skip(self) -> bool:
-        """Let the next frame go by; False at the end."""
+        """Skip the next frame; False at the end."""
         if went_on := self._source.skip():
             self._ledger.unasked()
         return went_on
@@ -139,27 +139,27 @@ class Grab:
 
 
 class Running(Protocol):
-    """Who knows what reconstructs."""
+    """Provides the reconstructor."""
 
     @property
     def reconstructor(self) -> Reconstructor | Reason:
-        """What the next frame meets; or why there is none, and no frame is valid."""
+        """The reconstructor for the next frame, or the reason that there is none and no frame is valid."""
         ...
 
 
 class Reconstruct:
-    """Takes the newest frame, reconstructs it, and shows it to all that see frames.
+    """Takes the newest frame, reconstructs it, and shows it to all observers.
 
     Parameters
     ----------
     running : Running
-        Asked for each frame.
+        Read for each frame.
     mailbox : Mailbox of Frame
     timings : Timings
     observers : sequence of FrameObserver
         In the order in which they see a frame.
     posed : callable or None
-        Gives a frame its pose, after its reconstruction: a pose from behind the frame may have come by then.
+        Adds the pose to a frame after its reconstruction: the pose that follows the frame may have come by then.
     """
 
     def __init__(
@@ -172,20 +172,20 @@ class Reconstruct:
     ) -> None:
         self._running = running
         self._tracker = ContactTracker()
-        self.taken = self.processed = 0  # frames; they differ while one is in work
+        self.taken = self.processed = 0  # frames; they differ while one is in progress
         self._timer = StageTimer()
         self._mailbox = mailbox
         self._timings = timings
-        # Only those that do something: the other calls cost 3 µs a frame.
+        # Only those that override the method: the other calls cost 3 µs a frame.
         self._needs = [each.need for each in observers if type(each).need is not FrameObserver.need]
         self._sees = [each.see for each in observers if type(each).see is not FrameObserver.see]
         self._look_every = 1
-        self._passed = 0  # frames since the latest that was looked at
+        self._passed = 0  # frames since the latest that was examined
         self._posed = posed
 
     @property
     def stages(self) -> int:
-        """How many have ended, of all frames."""
+        """Number of stages that have ended, of all frames."""
         return self._timer.ended
 
     def run(self) -> None:
@@ -196,7 +196,7 @@ class Reconstruct:
             self.processed += 1
 
     def wants_next(self) -> bool:
-        """Whether to look at the next frame: somebody needs it, or it is its turn. Asked once for each, in `grab`."""
+        """Whether to examine the next frame, because it is needed or its turn has come. `grab` calls this once each."""
         self._passed += 1
         if self._passed < self._look_every and self._need() is Need.CONTACT:
             return False
@@ -227,13 +227,13 @@ class Reconstruct:
     def _need(self) -> Need:
         need = Need.CONTACT
         for asked in self._needs:
-            if (more := asked()) is not Need.CONTACT:  # a union of flags is dear
+            if (more := asked()) is not Need.CONTACT:  # a union of flags is expensive
                 need |= more
         return need
 
 
 def _not_reconstructed(frame: Frame, reason: Reason) -> Reconstruction:
-    """An invalid frame, whose disc nobody knows."""
+    """The invalid result of a frame whose disc is unknown."""
     return Reconstruction(
         seq=frame.seq,
         t_ns=frame.t_ns,

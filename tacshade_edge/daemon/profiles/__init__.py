@@ -1,1 +1,1 @@
-"""Which profile runs, and who chose it."""
+"""Chooses the profile that runs, and keeps its reconstructor."""

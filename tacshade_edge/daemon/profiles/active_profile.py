@@ -1,4 +1,4 @@
-"""Which reconstructor runs: the one place that replaces it. All of it is the main thread's, but for the looking on."""
+"""The reconstructor that runs. Only the main thread replaces it; the reconstruct thread calls `see` and `observe`."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ CALM_S = 60
 
 @dataclass(frozen=True, slots=True)
 class Stepped:
-    """A step of a chooser, which may have been replaced meanwhile."""
+    """A step of a chooser that may have been replaced meanwhile."""
 
     chooser: ProfileChooser
     step: Step
 
 
 class ActiveProfile(FrameObserver):
-    """One profile, or `AUTO`: all of `LADDER` are then kept ready, so that a step makes nothing and waits for nothing.
+    """One profile, or `AUTO`: then all of `LADDER` are kept ready, so that a step builds nothing and waits for nothing.
 
     Parameters
     ----------
     reconstructor : Reconstructor or Reason
-        To begin with. Without a calibration it is a reason until `reload`, and a profile is only chosen.
+        The first one. A reason if there is no calibration: until there is one, `choose` only stores the choice.
     choice : str
         A key of `PROFILES`, or `AUTO`.
     budget_ms : float or None
-        What `AUTO` keeps; None where the settings have none.
+        Budget that `AUTO` keeps; None if the settings have none.
     report : callable
-        ``report(stepped)``, in the thread that reconstructs: give it to `step` in the main thread.
+        ``report(stepped)`` in the thread that reconstructs: pass `stepped` to `step` in the main thread.
 
     Attributes
     ----------
     reconstructor : Reconstructor or Reason
-        The one that the next frame meets, or why there is none.
+        The one for the next frame, or why there is none.
     choice : str
     budget_ms : float or None
     """
@@ -74,23 +74,23 @@ class ActiveProfile(FrameObserver):
 
     @property
     def name(self) -> str:
-        """Of the profile that the next frame meets, or would."""
+        """Name of the next frame's profile; without a calibration, the choice."""
         running = self.reconstructor
         return self.choice if isinstance(running, Reason) else running.profile.name
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """What `choose` takes."""
+        """The values that `choose` accepts."""
         return tuple(PROFILES) if self.budget_ms is None else (*PROFILES, AUTO)
 
     def choose(self, choice: str) -> None:
-        """Use a profile, or `AUTO` from its start; one of `choices`."""
+        """Use one of `choices`: a profile, or `AUTO` from its start."""
         self.choice, running = choice, self.reconstructor
         if not isinstance(running, Reason):
             self._install(choice, running.calibration, {})
 
     def use(self, calibration: Calibration | Reason) -> None:
-        """Use another calibration; what `AUTO` found out stays. Until the first, why there still is none."""
+        """Use another calibration and keep what `AUTO` has measured; before the first, why it is missing."""
         running = self.reconstructor
         if isinstance(calibration, Reason):
             self.reconstructor = calibration
@@ -103,7 +103,7 @@ class ActiveProfile(FrameObserver):
             self.reconstructor = self._kept[self.name]
 
     def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
-        """Follow the settings."""
+        """Apply the settings."""
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
         self.budget_ms = budget_ms
         if unchanged or isinstance(calibration, Reason):
@@ -113,7 +113,7 @@ class ActiveProfile(FrameObserver):
             self._install(choice, calibration, {})
 
     def step(self, stepped: Stepped) -> bool:
-        """Do a step; False when its chooser was replaced."""
+        """Take a step; return False if its chooser was replaced."""
         if stepped.chooser is not self._chooser:
             return False
         step, before = stepped.step, self.name
@@ -130,7 +130,7 @@ class ActiveProfile(FrameObserver):
         return True
 
     def health(self) -> dict[str, Any] | None:
-        """How the budget is kept; None without `AUTO`."""
+        """How well the budget is kept; None without `AUTO`."""
         if self._chooser is None:
             return None
         standing = self._chooser.standing
@@ -144,19 +144,19 @@ class ActiveProfile(FrameObserver):
         }
 
     def see(self, seen: FrameResult) -> None:
-        """Have `AUTO` judge how long a contact took."""
+        """Let `AUTO` judge the latency of a contact."""
         if self._chooser is not None and (made := seen.reconstruction) is not None and made.contact:
             now_ns = time.monotonic_ns()
             self.observe(made.profile, now_ns, (now_ns - seen.frame.t_ns) / 1e6, seen.step_ms)
 
     def observe(self, profile: str, now_ns: int, latency_ms: float, own_ms: float) -> None:
-        """Have `AUTO` judge a latency, of which `own_ms` are the reconstruction's."""
+        """Let `AUTO` judge a latency, including `own_ms` of reconstruction."""
         chooser = self._chooser
         if chooser is not None and (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
             self._report(Stepped(chooser, step))
 
     def log_late(self) -> None:
-        """To be called once a second: log that not even the fastest keeps the budget, again only after `CALM_S`."""
+        """Log that even the fastest profile misses the budget, again only after `CALM_S`; call it once a second."""
         if self._chooser is None or (within_ms := self._chooser.standing.within_ms) is None:
             return
         budget_ms, late = self._chooser.budget_ms, self._chooser.standing.kept is False
@@ -174,7 +174,7 @@ class ActiveProfile(FrameObserver):
             )
 
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
-        """Use `choice`, and of the reconstructors those that are `ready`: rehearsed here, so no other thread's."""
+        """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
         self.choice, self._late_logged, self._calm_s = choice, False, 0
         self._chooser = None
         if choice != AUTO or self.budget_ms is None:
@@ -194,7 +194,7 @@ class ActiveProfile(FrameObserver):
 
 
 def step_cost_ms(reconstructor: Reconstructor) -> float:
-    """About what a step in contact takes here, the least of some: all before the solver, and the solver."""
+    """Approximate duration of a step in contact here, ms: the least of several runs of preprocessing and solver."""
     image = reconstructor.calibration.reference_grey
     frame = Frame(seq=0, t_ns=0, wall_ns=0, image=image)
     took_ns = []

@@ -1,8 +1,8 @@
-"""Which profile keeps a latency budget: no clock, no thread; it is given what each frame took.
+"""Chooses the profile that keeps a latency budget: no clock, no thread; the caller passes in each frame's durations.
 
-Down is quick: as soon as more than a tenth of a window of frames is late. Up is slow: a full window must leave room for
-the better profile, and after a try that failed the next waits twice as long. So whatever the noise, there are at most
-`STEPS_A_MINUTE` steps in any minute.
+It steps down quickly, as soon as more than a tenth of a window of frames is late. It steps up slowly: a full window
+must leave room for the better profile, and after a failed try the next one waits twice as long. Whatever the noise,
+it takes at most `STEPS_A_MINUTE` steps in any minute.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from statistics import median
 from tacshade_edge.reasons import Reason, ReasonCode
 
 WINDOW_FRAMES = 60
-LATE_FRAMES = WINDOW_FRAMES // 10  # the budget is one for 90 % of the frames
-MARGIN = 0.8  # a better profile is tried when it is expected to need no more of the budget
+LATE_FRAMES = WINDOW_FRAMES // 10  # the budget applies to 90 % of the frames
+MARGIN = 0.8  # a better profile is tried if it is expected to need at most this share of the budget
 PATIENCE_S, LONGEST_PATIENCE_S = 30.0, 960.0
-# A profile that was stepped up to and did not last so many frames was a failed try: a minute at 30 a second.
+# A step up that does not last this many frames was a failed try: a minute at 30 frames a second.
 TRIAL_FRAMES = 1800
-STEPS_A_MINUTE = 6  # for a ladder of three: two tries, their returns, and two steps down from before
+STEPS_A_MINUTE = 6  # for a ladder of three: two tries, their returns, and two earlier steps down
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class Step:
     Attributes
     ----------
     profile : str
-        The one to change to.
+        The new profile.
     up : bool
-        To a dearer one.
+        Whether it is more expensive.
     reason : Reason
         ``OVER_BUDGET`` down, ``WITHIN_BUDGET`` up.
     """
@@ -45,16 +45,16 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How the present profile does, over its latest `WINDOW_FRAMES` frames.
+    """How well the present profile keeps the budget, over its latest `WINDOW_FRAMES` frames.
 
     Attributes
     ----------
     profile : str
     frames : int
     within_ms : float or None
-        90 % of the frames took no longer; None before the first.
+        Latency that 90 % of the frames do not exceed; None before the first.
     kept : bool or None
-        Whether 90 % were within the budget; None while they are too few to judge.
+        Whether 90 % are within the budget; None while there are too few to judge.
     """
 
     profile: str
@@ -69,17 +69,17 @@ class ProfileChooser:
     Parameters
     ----------
     budget_ms : float
-        For 90 % of the frames.
+        Limit for 90 % of the frames.
     costs_ms : mapping
-        What a step in contact takes on this machine when it is idle, of each profile, the dearest first. The ratios
-        predict what a better one would take under a load; the first chosen is the dearest that `MARGIN` allows.
+        Duration of a step in contact on this machine when it is idle, for each profile, the most expensive first. The
+        ratios predict a better profile's time under load; the first choice is the most expensive that `MARGIN` allows.
 
     Attributes
     ----------
     profile : str
-        The one chosen.
+        The chosen one.
     standing : Standing
-        A new one after each frame, so that another thread may read it.
+        Replaced after each frame, so that another thread may read it.
     """
 
     def __init__(self, budget_ms: float, costs_ms: Mapping[str, float]) -> None:
@@ -104,18 +104,18 @@ class ProfileChooser:
         Parameters
         ----------
         profile : str
-            What it was reconstructed with; a frame of another than the chosen one began before the step.
+            Profile that reconstructed the frame; if it is not the chosen one, the frame began before the step.
         now_s : float
-            Never less than the last time.
+            Time, never less than in the last call.
         latency_ms : float
-            What the budget is about.
+            Latency that the budget limits.
         own_ms : float
-            The part of it that the reconstruction took.
+            The reconstruction's share of it.
 
         Returns
         -------
         Step or None
-            `profile` is then the new one already.
+            After a step, `profile` is already the new one.
         """
         if profile != self.profile:
             return None
@@ -147,7 +147,7 @@ class ProfileChooser:
         return self._step(self._ladder[at - 1], now_s, Reason(ReasonCode.WITHIN_BUDGET, text))
 
     def _expected_ms(self, better: str, within_ms: float) -> float:
-        """What 90 % of the frames would take with a better profile: a load that slows this one slows that one too."""
+        """Latency that 90 % of the frames would keep with a better profile: a load slows both profiles alike."""
         times = self._costs_ms[better] / self._costs_ms[self.profile]
         return within_ms + (times - 1) * median(self._own_ms)
 
@@ -164,7 +164,7 @@ class ProfileChooser:
         return Step(profile, up, reason)
 
     def _begin(self) -> None:
-        """Know nothing of the chosen profile yet."""
+        """Discard all measurements: the chosen profile is new."""
         self._frames = 0
         self._latency_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)
         self._own_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)

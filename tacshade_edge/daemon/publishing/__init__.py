@@ -1,1 +1,1 @@
-"""What is published of results, maps and health."""
+"""Publishes results, maps and health."""

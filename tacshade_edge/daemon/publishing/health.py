@@ -1,4 +1,4 @@
-"""The ``health`` message: what arrived, what became of it, how fast."""
+"""The ``health`` message: how many frames arrived, their outcomes, and how fast."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import Reconstruction
 
-# So many periods without one good frame are a state, not an event.
+# This many periods without one good frame are a state, not an event.
 UNUSABLE_PERIODS = 3
 
 
 def delivered(counts: Counts) -> int:
-    """Frames that ended as they should: sent, with nothing to send, or not asked for."""
+    """Number of frames with a good outcome: sent, with nothing to send, or not requested."""
     return counts.published + counts.without_contact + counts.unasked
 
 
 class Health(FrameObserver):
-    """Makes the message; the rates are between two calls of `snapshot`.
+    """Makes the message; its rates are means between two calls of `snapshot`.
 
     Attributes
     ----------
     unusable : Reason or None
-        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; None when one was good or none came.
+        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; None if one was good or none came.
     """
 
     def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
@@ -38,14 +38,14 @@ class Health(FrameObserver):
         self.unusable: Reason | None = None
 
     def see(self, seen: FrameResult) -> None:
-        """Keep what the newest frame says of itself."""
+        """Keep the newest reconstruction."""
         self._latest = seen.reconstruction or self._latest
 
     def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
-        """The message as a dict, without what observers report.
+        """The message as a dict, without the observers' reports.
 
         ``frames`` holds captured = published + superseded + without_contact + unasked + invalid + failed + pending,
-        all of one instant. ``source_dropped`` frames never reached this process and are not in it.
+        all at one instant. ``source_dropped`` frames never reached this process and are not among them.
         """
         now_ns = time.monotonic_ns()
         counts, before = self._ledger.counts(), self._last
@@ -71,7 +71,7 @@ class Health(FrameObserver):
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
-        """Whether frames come but none can be used; the first reason stays, so that it is published once.
+        """Note whether frames come but none can be used; keep the first reason, so that it is published once.
 
         A missing calibration is no frame's fault: the daemon reports it.
         """

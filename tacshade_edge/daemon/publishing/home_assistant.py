@@ -1,4 +1,4 @@
-"""The sensor in Home Assistant: announced where the settings say so, and taken back where they no longer do."""
+"""Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 
 
 class HomeAssistant:
-    """Retained announcements outlive the daemon; so does the status below its own topics that reports them.
+    """Retained announcements outlive the daemon, and so does the status under its own topics that reports them.
 
-    A daemon that finds that of an earlier run, and shall not announce, takes them back. One that never announced
-    writes nothing outside its own topics.
+    A daemon that must not announce withdraws what it finds announced by an earlier run. One that never announced writes
+    nothing outside its own topics.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class HomeAssistant:
             link.watch(STATUS, self._withdraw)
 
     def announce(self, profiles: Sequence[str]) -> None:
-        """Say what there is, where it is wanted and new."""
+        """Announce the sensor if the settings want it and the profiles are new."""
         if not self._wanted or self._announced == tuple(profiles):
             return
         self._announced = tuple(profiles)
@@ -45,7 +45,7 @@ class HomeAssistant:
         self._link.set_retained(STATUS, encode_status(ANNOUNCED))
 
     def _withdraw(self, status: bytes) -> None:
-        """What an earlier run said of itself."""
+        """Withdraw what an earlier run announced, according to its status."""
         try:
             state = decode_status(STATUS, status).state
         except DecodeError:

@@ -13,7 +13,7 @@ WIDTH_PX = 320
 
 
 class Preview(FrameObserver):
-    """Publishes the newest frame, no frame twice."""
+    """Publishes the newest frame, and no frame twice."""
 
     def __init__(self, link: MqttLink) -> None:
         self._link = link
@@ -25,7 +25,7 @@ class Preview(FrameObserver):
         self._latest = seen.frame
 
     def publish(self) -> None:
-        """Publish it, where somebody listens."""
+        """Publish the newest frame if somebody listens."""
         frame = self._latest
         if frame is None or frame is self._published or not self._link.connected:
             return

@@ -1,4 +1,4 @@
-"""What of a reconstruction is published, and when."""
+"""Decides what is published of a reconstruction, and when."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from tacshade_edge.protocol import messages, wire
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Need, Reconstruction, Slip
 
-CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact for every frame
+CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
 
 
 class Publisher(FrameObserver):
-    """Publishes what of a frame somebody wants, and settles the frame.
+    """Publishes what subscribers want of a frame, and settles the frame.
 
     With contact: ``height``, ``cloud``, ``shear``, ``sigma``, ``touch`` and ``contact`` of every frame, and one
     ``event/slip`` when an object begins to slide. Without: one zero ``height`` and one empty ``touch`` when the contact
-    ends (flagged when an invalid frame ended it), then only ``contact`` at 10 Hz. A frame whose height is offered is
-    settled by what becomes of that offer.
-    What nobody listens to is left out, but never the begin or end of a contact that is or was published: nobody is left
-    with an older truth.
+    ends (flagged if an invalid frame ended it), then only ``contact`` at 10 Hz. If a frame's height is offered, the
+    outcome of that offer settles the frame.
+    Messages without a listener are left out, except at the beginning and end of a contact that is or was published: no
+    subscriber is left with outdated values.
 
     Parameters
     ----------
     offer : callable
         ``offer(stream, payload, seq)``; must not wait.
     publish_event : callable
-        ``publish_event(topic, payload)`` of an event; must not wait.
+        ``publish_event(topic, payload)`` publishes an event; must not wait.
     settle : callable
-        ``settle(seq, outcome)`` of a frame whose height is not offered.
+        ``settle(seq, outcome)`` for a frame whose height is not offered.
     has_listener : callable
         ``has_listener(stream)``; by default every stream has one.
     always_shear : bool
-        Shear is asked for whoever listens: for slip, and for its numbers in ``contact``.
+        Request shear even without a listener: for slip, and for its numbers in ``contact``.
 
     Attributes
     ----------
     fps : float
-        For ``contact``.
+        Frame rate that ``contact`` reports.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Publisher(FrameObserver):
         self.fps = 0.0
 
     def need(self) -> Need:
-        """How much of a frame those who listen ask for."""
+        """How much of a frame the listeners need."""
         need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
         if self._has_listener("sigma"):
             need |= Need.SIGMA
@@ -72,11 +72,11 @@ class Publisher(FrameObserver):
         return need
 
     def settings_changed(self, settings: Settings) -> None:
-        """Ask for shear as the settings say."""
+        """Request shear as the settings say."""
         self._always_shear = settings.shear == "always"
 
     def see(self, seen: FrameResult) -> None:
-        """Offer what is in this result."""
+        """Offer the messages of this result."""
         if (result := seen.reconstruction) is None:
             self._settle(seen.frame.seq, "unasked")
             return

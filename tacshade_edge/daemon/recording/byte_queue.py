@@ -1,4 +1,4 @@
-"""A queue of frames and events that is bounded in bytes: what does not fit is refused and counted, never waited for."""
+"""A queue of frames and events, bounded in bytes: what does not fit is refused and counted, and nobody waits for it."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ T = TypeVar("T")
 
 
 class ByteQueue(Generic[T]):
-    """First in, first out, between two threads.
+    """A first-in, first-out queue between two threads.
 
     Parameters
     ----------
     limit_bytes : int
-        More than this is never held, except that an empty queue takes one item of any size.
+        Most bytes to hold, except that an empty queue takes one item of any size.
 
     Attributes
     ----------
     refused : int
-        Items that found it full.
+        Number of items that found the queue full.
     """
 
     def __init__(self, limit_bytes: int) -> None:
@@ -32,14 +32,14 @@ class ByteQueue(Generic[T]):
         self.refused = 0
 
     def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> None:
-        """Leave an item for the taker; refused and counted when full, ignored when closed.
+        """Add an item for the taker; refuse and count it if full, ignore it if closed.
 
         Parameters
         ----------
         item
         size_bytes : int
         reserve_bytes : int
-            So much above the limit is for this kind of item alone.
+            Room above the limit that is reserved for this kind of item.
         """
         with self._ready:
             if self._closed:
@@ -52,7 +52,7 @@ class ByteQueue(Generic[T]):
             self._ready.notify()
 
     def take(self, timeout_s: float) -> T | None:
-        """The oldest item; None when none came in time, or when the queue is drained."""
+        """The oldest item; None if none came in time, or if the queue is drained."""
         with self._ready:
             self._ready.wait_for(lambda: self._items or self._closed, timeout_s)
             if not self._items:
@@ -62,14 +62,14 @@ class ByteQueue(Generic[T]):
             return item
 
     def close(self) -> None:
-        """Take nothing more; what is there can still be taken."""
+        """Accept nothing more; what is in the queue can still be taken."""
         with self._ready:
             self._closed = True
             self._ready.notify_all()
 
     @property
     def drained(self) -> bool:
-        """Closed, and empty."""
+        """Whether the queue is closed and empty."""
         with self._ready:
             return self._closed and not self._items
 

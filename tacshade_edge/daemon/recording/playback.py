@@ -1,4 +1,4 @@
-"""A recording as a person plays it: paused, frame by frame, from anywhere, faster and slower (``req/replay``)."""
+"""Plays a recording for a person: paused, frame by frame, from anywhere, faster and slower (``req/replay``)."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 Changed = Callable[[dict[str, Any]], None]
 _MS: Final = 3  # decimals of a second
 REPORT_PERIOD_S: Final = 1.0
-"""While it is paused it says so once in so long: a page that is slow loses what comes faster than it takes it."""
+"""How often the status is repeated while paused: a slow page loses what comes faster than it can take."""
 
 
 class Playback:
-    """Frames when they are due; the end is a pause, after which it can go on anywhere.
+    """Provides each frame when it is due; the end is a pause, after which playback can continue anywhere.
 
-    `read` belongs to one thread, `command` and `status` to any.
+    One thread calls `read`; any thread may call `command` and `status`.
 
     Parameters
     ----------
     reopen : callable
-        The recording from its first frame on.
+        Opens the recording at its first frame.
     speed : float
-        Times the recording's pace.
+        Factor on the recording's pace.
     changed : callable
         ``changed(status)`` after every command, and at the end.
     """
@@ -40,13 +40,13 @@ class Playback:
         self._paused = False
         self._steps = self._backs = 0
         self._seek_ns: int | None = None  # after the first frame
-        self._start: tuple[int, int] | None = None  # our time and the recording's, from where the pace is kept
+        self._start: tuple[int, int] | None = None  # our time and the recording's when the present pace began
         self._first_ns: int | None = None
-        self._last_ns = 0  # of the frame that was shown
+        self._last_ns = 0  # time of the latest frame that was shown
         self._seq: int | None = None
 
     def command(self, command: PlaybackCommand) -> dict[str, Any]:
-        """Do it; the status that it makes."""
+        """Carry out a command and return the resulting status."""
         with self._wake:
             self._start = None
             if command.paused is not None:
@@ -67,7 +67,7 @@ class Playback:
         return status
 
     def status(self) -> dict[str, Any]:
-        """For ``status/replay``, without its state and reason."""
+        """The content of ``status/replay``, without its state and reason."""
         with self._wake:
             return {
                 "paused": self._paused,
@@ -78,14 +78,14 @@ class Playback:
             }
 
     def read(self) -> RecordedFrame:
-        """Wait for the next frame that is to be shown.
+        """Wait for the next frame to show.
 
         Raises
         ------
         DecodeError
-            Its image cannot be used; the next call goes on with the next.
+            The image cannot be used; the next call continues with the next frame.
         ConfigError
-            As `Recording`'s.
+            As for `Recording`.
         """
         ahead: RecordedFrame | None = None
         still_paused = False
@@ -120,7 +120,7 @@ class Playback:
 
     @property
     def _wound(self) -> bool:
-        """Whether another frame than the next is to be shown."""
+        """Whether a frame other than the next is requested."""
         return self._seek_ns is not None or self._backs > 0
 
     def _wait_s(self, t_ns: int) -> float:
@@ -131,7 +131,7 @@ class Playback:
         return (self._start[0] + (t_ns - self._start[1]) / self._speed - now_ns) / 1e9
 
     def _from(self, target_ns: int, ahead: RecordedFrame | None) -> RecordedFrame | None:
-        """The first frame at that time or later."""
+        """The first frame at least `target_ns` after the recording's first one."""
         target_ns += self._first_ns or 0
         if target_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
             self._recording = self._reopen()
@@ -141,7 +141,7 @@ class Playback:
         return self._recording.read()
 
     def _before(self, frames: int) -> RecordedFrame | None:
-        """So many frames before the one that is shown, or the first."""
+        """The frame that is this many before the latest one shown, or the first."""
         self._recording = self._reopen()
         self._recording.skip_to_before(self._last_ns, frames)
         return self._recording.read()
@@ -158,4 +158,4 @@ class Playback:
                 )
         with self._wake:
             if not self._wound:
-                self._seek_ns = 0  # played again
+                self._seek_ns = 0  # play again from the first frame

@@ -10,13 +10,13 @@ from typing import Final
 from tacshade_edge.types import Frame
 
 PRE_ROLL_BYTES: Final = 64 * 2**20
-"""Of PNG: 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Beside 16 MiB that wait, of the 150 MB of the service."""
+"""As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Within the service's 150 MB, with 16 MiB that wait."""
 EVENT_BYTES: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A captured frame with its pose, its image as PNG.
+    """A captured frame with its pose, and its image as PNG.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Shot:
 
     @property
     def t_ns(self) -> int:
-        """When it was captured."""
+        """Capture time, CLOCK_MONOTONIC, ns."""
         return self.frame.t_ns
 
 
@@ -44,14 +44,14 @@ class Event:
 
 
 class Kept:
-    """First in, first out; used by one thread, counted by any.
+    """A first-in, first-out queue for one thread; any thread may read the counts.
 
     Attributes
     ----------
     frames : int
-        That are in it.
+        Number of frames in it.
     given_up : int
-        Frames that `bound_bytes` had no room for.
+        Frames that `bound` removed for lack of room.
     """
 
     def __init__(self) -> None:
@@ -60,25 +60,25 @@ class Kept:
         self.frames = self.given_up = 0
 
     def add(self, item: Shot | Event) -> None:
-        """The newest."""
+        """Add the newest item."""
         self._items.append(item)
         self._bytes += _size(item)
         self.frames += isinstance(item, Shot)
 
     def take(self) -> Shot | Event:
-        """The oldest. Raises IndexError when there is none."""
+        """Remove and return the oldest item. Raises IndexError if there is none."""
         item = self._items.popleft()
         self._bytes -= _size(item)
         self.frames -= isinstance(item, Shot)
         return item
 
     def forget(self, oldest_ns: int) -> None:
-        """Take out what is older than that."""
+        """Remove items older than this time."""
         while self._items and self._items[0].t_ns < oldest_ns:
             self.take()
 
     def bound(self, limit_bytes: int) -> None:
-        """Take out the oldest until the rest has no more bytes than that."""
+        """Remove the oldest items until the rest has at most this many bytes."""
         while self._bytes > limit_bytes:
             self.given_up += isinstance(self.take(), Shot)
 

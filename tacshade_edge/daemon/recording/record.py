@@ -1,7 +1,7 @@
-"""Recording beside the running daemon: one recording at a time, written by a thread of its own.
+"""Recording next to the running daemon: one recording at a time, written by its own thread.
 
 `LiveRecorder.tap` takes each captured frame; the bounded queue behind it keeps the disk from ever delaying a frame.
-Where a recording begins with what was before, its thread runs already, and keeps what it will write first.
+If recordings begin with a pre-roll, the thread runs before the request and keeps the frames that it will write first.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.types import Calibration, Frame
 
-# 54 grey frames of 640x480: almost a second at 60 per second. Of the 150 MB that the service may use.
+# 54 grey frames of 640x480: almost a second at 60 per second. Part of the 150 MB that the service may use.
 QUEUE_BYTES = 16 * 2**20
-EVENTS_RESERVE_BYTES = 256 * 1024  # an event fits where no frame does
+EVENTS_RESERVE_BYTES = 256 * 1024  # an event fits when no frame does
 SYNC_S = 1.0
 _NO_PIXELS = np.zeros((0, 0), np.uint8)
 Posed = Callable[[Frame], Frame]
 TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
 SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the source has ended")
 DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
-# As they should: these leave the recorder idle, anything else is a reason that it stopped.
+# These endings are normal and leave the recorder idle; any other is a reason that it stopped.
 GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingEnded:
-    """The thread of a recording is done: `LiveRecorder.poll` has its figures."""
+    """A recording's thread has ended: `LiveRecorder.poll` has its figures."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """How a recording is, or was.
+    """State of a recording, or its result.
 
     Attributes
     ----------
     folder : Path
     frames, bytes, dropped : int
-        Written frames and their size, and frames that were captured meanwhile and are not in it.
+        Written frames, their size, and frames that were captured meanwhile but are not in it.
     ending : Reason or None
-        None while it goes on; one of `GOOD_ENDINGS`, or what went wrong.
+        None while the recording runs; one of `GOOD_ENDINGS`, or what went wrong.
     """
 
     folder: Path
@@ -65,7 +65,7 @@ class Recorded:
         return self.ending is not None and self.ending.code not in GOOD_ENDINGS
 
     def as_dict(self) -> dict[str, str | int | float]:
-        """For ``status/recorder``, ``res/record`` and ``recording.json``."""
+        """The content of ``status/recorder``, ``res/record`` and ``recording.json``."""
         return {
             "folder": str(self.folder),
             "frames": self.frames,
@@ -82,11 +82,11 @@ class _Asked:
     calibration: Calibration
     about: Mapping[str, object]
     oldest_ns: int
-    refused: int  # before
+    refused: int  # before the request
 
 
 class _Job:
-    """One recording, or what is kept for it before it is asked for. Its first ending counts."""
+    """One recording, or the frames kept before one is requested. Its first ending counts."""
 
     def __init__(self, pre_roll_ns: int, posed: Posed | None) -> None:
         self.asked: _Asked | None = None
@@ -98,7 +98,7 @@ class _Job:
         self._pre_roll_ns = pre_roll_ns
         self._oldest_ns = 0
         self._posed = posed
-        self._lost = 0  # accepted, and not written
+        self._lost = 0  # accepted but not written
         self._first: tuple[int, int] | None = None
 
     def start(
@@ -116,32 +116,32 @@ class _Job:
         self.asked = _Asked(recorder, settings_yaml, calibration, about, oldest_ns, self.waiting.refused)
 
     def tap(self, frame: Frame) -> None:
-        """See the next captured frame; called in the grab thread."""
+        """Take the next captured frame; called in the grab thread."""
         if self.asked is None or frame.t_ns <= self.end_ns:
             self.waiting.put(frame, frame.image.nbytes)
 
     def forget(self) -> None:
-        """Keep nothing of what was until now."""
+        """Discard everything up to now."""
         self._oldest_ns = time.monotonic_ns()
 
     def end(self, ending: Reason) -> None:
-        """Take nothing more; the thread writes what waits."""
+        """Accept nothing more; the thread writes what waits."""
         self.ending = self.ending or ending
         self.waiting.close()
 
     def now(self) -> Recorded | None:
-        """The figures of this instant; None when nothing was asked for."""
+        """The present figures; None if no recording was requested."""
         if (asked := self.asked) is None:
             return None
         dropped = self.waiting.refused - asked.refused + self._lost
         return Recorded(asked.recorder.folder, asked.recorder.frames, asked.recorder.bytes, dropped, self.ending)
 
     def pre_roll_dropped(self) -> int:
-        """Frames that are not kept though they are not too old, until the recording was asked for."""
+        """Number of frames recent enough to be kept that were not, until the recording was requested."""
         return self.kept.given_up + (self.asked.refused if self.asked else self.waiting.refused)
 
     def work(self) -> bool:
-        """The thread: keep until it is asked for, write until the end; whether it was asked for."""
+        """Run the thread: keep frames until a recording is requested, then write to its end; return whether one was."""
         while self.asked is None and not self.waiting.drained:
             if (item := self._take(SYNC_S)) is not None:
                 self.kept.add(item)
@@ -179,7 +179,7 @@ class _Job:
         self.done = True
 
     def _write_all(self, recorder: Recorder) -> None:
-        """One in, one out, so that what was kept never grows, and is written while nothing comes."""
+        """Take one in and write one out, so that what is kept never grows, and is written while nothing comes."""
         synced_s = time.monotonic()
         while self.kept or not self.waiting.drained:
             if (item := self._take(0 if self.kept else SYNC_S)) is not None:
@@ -205,14 +205,14 @@ class _Job:
 
 
 class LiveRecorder:
-    """Starts and ends recordings; used by the main thread alone.
+    """Starts and ends recordings; only the main thread uses it.
 
     Parameters
     ----------
     report : callable
-        Gets a `RecordingEnded` in the recording's thread.
+        Receives a `RecordingEnded` in the recording's thread.
     posed : callable or None
-        Gives a frame its pose; called in the recording's thread, which it may keep waiting for a moment.
+        Adds the pose to a frame; called in the recording's thread, and may wait a moment.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ class LiveRecorder:
         self._calibration_crc32: int | None = None
 
     def keep_pre_roll(self, pre_roll_s: float) -> None:
-        """Have recordings begin so long before they are asked for, from the next on; 0: then."""
+        """Make recordings begin this long before their request, from the next one on; 0: at the request."""
         pre_roll_ns = round(pre_roll_s * 1e9)
         if pre_roll_ns != self._pre_roll_ns and self._job is not None and self._job.asked is None:
             self.tap = None
@@ -252,22 +252,22 @@ class LiveRecorder:
         Parameters
         ----------
         folder : Path
-            A new one.
+            A new folder.
         seconds : float
         settings_yaml : str
         calibration : Calibration
-            What a replay must use.
+            The calibration that a replay must use.
         about : mapping
-            More for ``recording.json``.
+            Further content of ``recording.json``.
         make : callable
-            `Recorder` or one like it.
+            `Recorder`, or a class like it.
 
         Raises
         ------
         ConfigError
-            The folder is there already.
+            The folder exists already.
         DeviceError
-            One goes on (``BUSY``); the folder cannot be made; the disk is down to the floor.
+            Another recording runs (``BUSY``), the folder cannot be made, or the disk is down to the floor.
         """
         if (now := self.now()) is not None:
             doing = "still writing the latest recording to" if now.ending else "already recording to"
@@ -288,25 +288,25 @@ class LiveRecorder:
         self.tap = job.tap
 
     def _close(self, job: _Job) -> None:
-        """Take the figures of a job that is over, or that shall keep nothing more."""
+        """Add up the figures of a job that has ended, or that must keep nothing more."""
         job.waiting.close()
         self._pre_roll_dropped += job.pre_roll_dropped()
         self._job = None
 
     def end(self, ending: Reason) -> None:
-        """End the recording that goes on, if one does; `poll` reports when it is written."""
+        """End the present recording, if there is one; `poll` reports when it is written."""
         self.tap = None
         if self._job is not None:
             self._job.end(ending)
 
     def event(self, kind: str, **data: object) -> None:
-        """Something happened that a person who looks at the recording must know."""
+        """Record something that a person who looks at the recording must know."""
         if self._job is not None:
             event = Event(time.monotonic_ns(), kind, data)
             self._job.waiting.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
 
     def reconstructs_with(self, profile: str, calibration_crc32: int) -> None:
-        """The profile or the calibration may have changed: another reference ends a recording, which has the old."""
+        """Note the profile and calibration in use: another reference ends a recording, which contains the old one."""
         other, self._calibration_crc32 = calibration_crc32 != self._calibration_crc32, calibration_crc32
         if (job := self._job) is None:
             return
@@ -318,7 +318,7 @@ class LiveRecorder:
             self.end(Reason(ReasonCode.CALIBRATION_CHANGED, text))
 
     def poll(self) -> Recorded | None:
-        """End what is over; the recording that was finished since the last call."""
+        """End a recording that is over; return one that was finished since the last call."""
         if self._job is None and self._pre_roll_ns:
             self._run(_Job(self._pre_roll_ns, self._posed))
         job = self._job
@@ -327,7 +327,7 @@ class LiveRecorder:
         if not job.ending and time.monotonic_ns() > job.end_ns:
             self.end(TIME)
         if job.ending:
-            self.tap = None  # a disk that failed ends it from the other side
+            self.tap = None  # a disk that failed ends it from the other thread
         if not job.done:
             return None
         recorded = job.now()
@@ -338,11 +338,11 @@ class LiveRecorder:
         return recorded
 
     def now(self) -> Recorded | None:
-        """The recording that goes on or is being finished."""
+        """The recording that runs or is being finished."""
         return self._job.now() if self._job else None
 
     def counts(self) -> dict[str, int]:
-        """For ``health``: frames written, dropped and waiting, since the daemon's start; and what is kept."""
+        """Counts for ``health``: frames written and dropped since the start, frames waiting, and the pre-roll."""
         job, now = self._job, self.now()
         waiting = len(job.waiting) + len(job.kept) if job and now else 0
         written, dropped = (now.frames, now.dropped) if now else (0, 0)

@@ -1,4 +1,4 @@
-"""What ``req/record`` does, and what ``status/recorder`` has; runs in the main thread."""
+"""Handles ``req/record`` and publishes ``status/recorder``; runs in the main thread."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class RecordRequests(FrameObserver):
-    """Handles requests; each gets exactly one reply, that to ``stop`` when all is written.
+    """Handles requests; each gets exactly one reply, for ``stop`` when everything is written.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class RecordRequests(FrameObserver):
 
     @staticmethod
     def fix(folder: Path) -> None:
-        """End the recordings in MCAP that a daemon who died has left; before the first one begins."""
+        """Fix the MCAP recordings that a daemon left when it died; called before the first recording begins."""
         try:
             for path in fix_recordings(folder):
                 _log.warning("%s: its writer died; the file now ends after the last whole record", path)
@@ -64,7 +64,7 @@ class RecordRequests(FrameObserver):
             _log.warning("%s", error)
 
     def handle(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> None:
-        """Do or refuse one request."""
+        """Carry out or refuse one request."""
         try:
             if request.action == "start":
                 folder = self._start(request, settings, reconstructor, source)
@@ -80,7 +80,7 @@ class RecordRequests(FrameObserver):
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:
-        """What records a frame, while a recording goes on or is kept before one."""
+        """The function that records a frame, while a recording runs or a pre-roll is kept."""
         return self._recorder.tap
 
     def health(self) -> dict[str, int]:
@@ -88,20 +88,20 @@ class RecordRequests(FrameObserver):
         return self._recorder.counts()
 
     def settings_changed(self, settings: Settings) -> None:
-        """Keep as much from before a recording as the settings say."""
+        """Keep as much pre-roll as the settings say."""
         self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
 
     def source_changed(self, source: SourceState) -> None:
-        """Write it into the recording."""
+        """Write the source's state into the recording."""
         self._recorder.event("source", state=source.state, **reason_fields(source.reason))
 
     def stop(self, timeout_s: float) -> None:
-        """Wait until the recording is written, and answer who stopped it."""
+        """Wait until the recording is written, and answer a ``stop`` request."""
         self._recorder.join(timeout_s)
         self.poll()
 
     def poll(self) -> None:
-        """Publish what changed; answer a ``stop`` whose recording is written."""
+        """Publish what has changed; answer a ``stop`` whose recording is written."""
         recorded = self._recorder.poll()
         if recorded is not None:
             self._latest = recorded
@@ -131,7 +131,13 @@ class RecordRequests(FrameObserver):
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
         about = {"version": installed_version(), "profile": profile, "calibration_crc32": calibration.crc32}
         make = Recorder if request.format == "folder" else partial(McapRecorder, sensor_id=settings.sensor_id)
-        self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about, make)
+        try:
+            self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about, make)
+        except DeviceError as error:
+            if error.code != ReasonCode.DISK:
+                raise
+            fix = "set recorder.folder to a folder that the daemon may write"
+            raise DeviceError(f"{error}; {fix}", code=error.code) from None
         self._began_s, self._length_s = time.monotonic(), request.seconds
         state = {"state": source.state, **reason_fields(source.reason)}
         self._recorder.event("start", wall_ns=time.time_ns(), **state, source=source.details, **about)
@@ -155,5 +161,5 @@ class RecordRequests(FrameObserver):
 
 
 def _replayable(settings: Settings) -> str:
-    """The settings file of a recording: with the calibration that lies beside it."""
+    """The settings file of a recording, which names the calibration next to it."""
     return to_yaml(msgspec.structs.replace(settings, calibration=CALIBRATION_NAME))

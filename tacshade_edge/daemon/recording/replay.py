@@ -1,4 +1,4 @@
-"""A recording through the same reconstructor and publisher as the daemon's, by the recording's clock.
+"""Replays a recording through the daemon's reconstructor and publisher, by the recording's clock.
 
 One thread and no mailbox: every frame is reconstructed, in order, so equal input and settings give equal results.
 """
@@ -25,7 +25,7 @@ Deliver = Callable[[RecordedFrame, Reconstruction], None]
 
 @dataclass(slots=True)
 class Progress:
-    """What a replay has done so far; it stays readable after an interruption.
+    """The progress of a replay; it stays readable after an interruption.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Progress:
     first_ns, last_ns : int
         Time stamps of the recording.
     seconds : float
-        By our clock, waits of a paced replay included.
+        Duration by our clock, including the waits of a paced replay.
     timings : Timings
     """
 
@@ -49,18 +49,18 @@ class Progress:
 
     @property
     def recorded_seconds(self) -> float:
-        """By the recording's clock, the last frame's mean period included."""
+        """Duration by the recording's clock, s, including the last frame's mean period."""
         if self.frames < 2:
             return 0.0
         return (self.last_ns - self.first_ns) / 1e9 * self.frames / (self.frames - 1)
 
     @property
     def speed_up(self) -> float:
-        """Recorded time over our time."""
+        """Recorded time divided by our time."""
         return self.recorded_seconds / self.seconds if self.seconds > 0 else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``timings.json``."""
+        """The content of ``timings.json``."""
         return {
             "frames": self.frames,
             "seconds": round(self.seconds, 4),
@@ -87,16 +87,16 @@ def replay(
     reconstructor : Reconstructor
     sinks : sequence of callables
     progress : Progress
-        Counted in.
+        Updated after each frame.
     speed : float or None
-        Recorded seconds per second; None is as fast as possible.
+        Recorded seconds per second; None means as fast as possible.
     undecodable : callable
-        Gets the line of every image that cannot be used.
+        Receives a line about every image that cannot be used.
 
     Raises
     ------
     ConfigError
-        The first image is not of the calibration's size: another sensor's recording.
+        The first image does not have the calibration's size: it is another sensor's recording.
     """
     begin_ns = time.monotonic_ns()
     pause, tracker, timer = threading.Event(), ContactTracker(), StageTimer()
@@ -117,7 +117,7 @@ def replay(
             pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
         timer.begin()
         result = step_and_track(reconstructor, tracker, frame, timer.mark)
-        assert result is not None  # all of it is needed
+        assert result is not None  # by default everything is needed
         if progress.frames == 0 and result.reason is not None and result.reason.code is ReasonCode.SIZE:
             _refuse_size(recorded, reconstructor.calibration)
         for deliver in sinks:

@@ -1,4 +1,4 @@
-"""A replay's way to the broker: the daemon's publisher and link, under a sensor name of its own."""
+"""A replay's connection to the broker: the daemon's publisher and link, under a separate sensor id."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REPLAY = Reason(ReasonCode.REPLAY, "replay")
 
 
 class ReplayLink:
-    """Publishes what `run` would: every frame with contact, and the contact numbers between.
+    """Publishes what `run` would: every frame in contact, and the contact numbers in between.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ class ReplayLink:
     sensor_id : str
     reconstructor : Reconstructor
     wait : bool
-        Wait until the socket has taken each payload, so that none is superseded; False is the daemon's newest wins.
+        Wait until the socket has taken each payload, so that none is superseded; False: the newest wins, as in `run`.
 
     Raises
     ------
     ConfigError
-        A host name that can never work.
+        The host name can never work.
     """
 
     def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
@@ -64,11 +64,11 @@ class ReplayLink:
         self._publisher = Publisher(self._offer, self._link.publish_event, lambda *_: None)
 
     def obey(self, playback: Playback) -> None:
-        """Do what ``req/replay`` asks of it."""
+        """Let ``req/replay`` control this playback."""
         self._playback = playback
 
     def report_playback(self, status: dict[str, Any]) -> None:
-        """The retained ``status/replay``."""
+        """Publish the retained ``status/replay``."""
         state = "paused" if status["paused"] else "playing"
         details = {key: value for key, value in status.items() if key != "paused"}
         self._link.set_retained("status/replay", messages.encode_status(state, None, details))
@@ -92,7 +92,7 @@ class ReplayLink:
         self._began_s = time.monotonic()
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Publish what this result has to say. Raises DeviceError when waiting and the broker takes nothing."""
+        """Publish a result. Raises DeviceError if it must wait and the broker takes nothing."""
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
         self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
@@ -106,11 +106,11 @@ class ReplayLink:
                     raise DeviceError(found, code=ReasonCode.STALLED)
 
     def counters(self) -> dict[str, int]:
-        """Payloads so far: published, superseded, failed, and the link's others."""
+        """Number of payloads so far: published, superseded, failed, and the link's other counts."""
         return self._link.counters()
 
     def stop(self) -> None:
-        """Say goodbye and disconnect."""
+        """Publish the end and disconnect."""
         self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
         if self._playback is not None:
             self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))

@@ -1,1 +1,1 @@
-"""The reference in use: taken when asked for, kept over a restart, followed while nothing touches."""
+"""The reference in use: taken on request, kept over a restart, followed while nothing touches."""

@@ -1,4 +1,4 @@
-"""Frames for a new reference, taken from the running stream."""
+"""Collects frames for a new reference from the running stream."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ReferenceCollector:
     Parameters
     ----------
     done : callable
-        ``done(outcome)``, called once: all images, or why not.
+        ``done(outcome)``, called once: all images, or the reason that they cannot be used.
     """
 
     def __init__(self, done: Callable[[list[U8] | Reason], None]) -> None:
@@ -25,7 +25,7 @@ class ReferenceCollector:
         self._finished = False
 
     def see(self, frame: Frame, result: Reconstruction) -> None:
-        """See the next frame."""
+        """Take the next frame."""
         if self._finished:
             return
         if not result.valid:

@@ -23,14 +23,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """The reference that following begins from.
+    """The reference that following starts from.
 
     Attributes
     ----------
     calibrated : Calibration
-        As its file has it; requests are measured by it, so that no number of them leads away from the geometry.
+        As in its file; requests are measured against it, so that no number of them leads away from the geometry.
     calibration : Calibration
-        With the reference.
+        The calibration with this reference.
     source : str
     wall_ns : int or None
         When a request took it.
@@ -45,7 +45,7 @@ class Origin:
     reason: Reason | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``info``."""
+        """The content for ``info``."""
         return {
             "origin": self.source,
             "wall_ns": self.wall_ns,
@@ -57,8 +57,8 @@ class Origin:
 def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
     """The reference that was stored for a calibration, or the calibration's own.
 
-    That of another calibration is deleted: it is reported once, and no later file can meet it again. Not where it is
-    another's, `unowned`.
+    A reference stored for another calibration is deleted, so that it is reported once and never meets a later file,
+    except if another daemon owns it (`unowned`).
     """
     try:
         stored = reference_file.load(path, calibrated)
@@ -76,7 +76,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
 
 
 def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None) -> Origin:
-    """A new reference, stored where that can be done, and not where another owns the file, `unowned`.
+    """Take a new reference and store it if possible, but not if another daemon owns the file (`unowned`).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The reference in use. All of it is the main thread's, but for the frames' being seen."""
+"""The reference in use. Only the main thread uses it, except that the reconstruct thread calls `see`."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ State = Literal["waiting", "following", "stopped", "held"]
 
 
 class References(FrameObserver):
-    """Where the reference began, and how far it followed from there.
+    """Where the reference began, and how far it has followed from there.
 
     Parameters
     ----------
     calibrated : Calibration or Reason
-        As its file has it, or why there is none.
+        As in its file, or why there is none.
     path : Path
-        Of the stored reference.
+        File of the stored reference.
     sensor_id : str
-        Named to another daemon that wants the same file.
+        Names this daemon to another one that wants the same file.
 
     Attributes
     ----------
     calibration : Calibration or Reason
-        With the reference in use.
+        The calibration with the reference in use.
     frames : UntouchedFrames
     """
 
@@ -62,7 +62,7 @@ class References(FrameObserver):
         self.reload(calibrated, path)
 
     def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
-        """Begin again from what the files say."""
+        """Start again from the present files."""
         if path != self._path:
             self.close()
             self._path = path
@@ -73,7 +73,7 @@ class References(FrameObserver):
             self._begin(restored(calibrated, path, self._unowned))
 
     def see(self, seen: FrameResult) -> None:
-        """Take frames to follow from; all else is the main thread's."""
+        """Take a frame to follow from; called in the reconstruct thread."""
         self.frames.see(seen.frame, seen.reconstruction)
 
     def stop(self, timeout_s: float) -> None:
@@ -87,7 +87,7 @@ class References(FrameObserver):
             self._lock = None
 
     def _own_file(self) -> None:
-        """Be the one daemon that stores references here, or know why not."""
+        """Become the one daemon that stores references here, or note why not."""
         if self._lock is not None:
             return
         self._unowned = None
@@ -99,12 +99,12 @@ class References(FrameObserver):
                 self._unowned = error.reason
 
     def take(self, images: Sequence[U8]) -> ReferenceTaken:
-        """Begin anew from images of the resting sensor.
+        """Start over with images of the resting sensor.
 
         Raises
         ------
         ConfigError
-            They cannot be used, or there is no calibration.
+            The images cannot be used, or there is no calibration.
         """
         if isinstance(self._origin, Reason):
             raise ConfigError(self._origin.text, code=self._origin.code)
@@ -115,12 +115,12 @@ class References(FrameObserver):
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
     def follow(self, held: bool) -> bool:
-        """Follow where frames for it have come; True when `calibration` or what `info` states changed.
+        """Follow if frames for it have come; return True if `calibration` or the content of ``info`` has changed.
 
         Parameters
         ----------
         held : bool
-            The reference shall stay: a recording has one.
+            Whether the reference must stay, because a recording contains it.
         """
         taken, calibration = self.frames.take(), self.calibration
         if taken is None or isinstance(self._origin, Reason) or isinstance(calibration, Reason):
@@ -131,10 +131,10 @@ class References(FrameObserver):
         if isinstance(taken, Reason):
             return self._change_state("stopped", taken)
         followed = following.follow(self._origin.calibration, calibration, taken)
-        return_free_memory()  # the heap kept 7 MB of it
+        return_free_memory()  # the heap kept 7 MB
         self._distance = followed.distance
         changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
-        # Another reference amid a contact would be a step in its heights; the next frames at rest give it again.
+        # A new reference during a contact would be a step in its heights; the next frames at rest yield it again.
         if followed.calibration is None or not self.frames.at_rest:
             return changed
         self.calibration = with_crc(followed.calibration)
@@ -143,7 +143,7 @@ class References(FrameObserver):
         return True
 
     def info(self) -> dict[str, Any] | None:
-        """For ``info``: where the reference began, how far it may go from there, and whether it went so far."""
+        """The content for ``info``: where the reference began, its bounds from there, and whether it reached them."""
         if isinstance(self._origin, Reason):
             return None
         disc = self._origin.calibration.geometry.disc
@@ -151,7 +151,7 @@ class References(FrameObserver):
         return {**self._origin.as_dict(), "bounds": following.bounds(disc), **state}
 
     def health(self) -> dict[str, Any]:
-        """For ``health``: how it follows, and how far the latest frames at rest were from where it began."""
+        """The report for ``health``: how it follows, and how far the latest frames at rest were from where it began."""
         return {
             "state": self._state,
             **reason_fields(self._reason),
@@ -167,7 +167,7 @@ class References(FrameObserver):
         self._state, self._reason, self._distance = "waiting", None, None
 
     def _change_state(self, state: State, reason: Reason | None) -> bool:
-        """Whether it is another state; a reason's figures alone are none."""
+        """Set the state and return whether it changed; new figures in the same reason are no change."""
         changed = (state, code_of(reason)) != (self._state, code_of(self._reason))
         if changed:
             _log.info("reference %s%s", state, f": {reason}" if reason else "")
@@ -176,7 +176,7 @@ class References(FrameObserver):
 
 
 def _figures(distance: Distance | None) -> dict[str, float | None]:
-    """A distance as ``info.bounds`` has it; null where nothing is known."""
+    """A distance in the form of ``info.bounds``; null if unknown."""
     keys = ("shift_px", "moved_px", "light", "uneven", "contrast", "common_grey", "patch_grey")
     if distance is None:
         return dict.fromkeys(keys)

@@ -1,4 +1,4 @@
-"""Frames of the resting sensor, taken now and then from the running stream for the reference to follow."""
+"""Frames of the resting sensor, taken now and then from the running stream so that the reference can follow."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types import U8, Frame, Reconstruction
 
 UNTOUCHED_FRAMES = 10
-# A dent that a release leaves is gone after 3 s; a soft skin under a long press needs a little more.
+# A dent after a release is gone after 3 s; a soft skin under a long press needs a little more.
 REST_S = 10.0
 # What the reference follows changes over minutes and years.
 PERIOD_S = 60.0
-# Nobody knows what touched while no frame came for longer.
+# After a longer gap between frames, nobody knows what touched.
 GAP_S = 3.0
 
 
 class UntouchedFrames:
-    """Ten frames of a sensor at rest once in `PERIOD_S`; one that is touched, invalid or in doubt ends them.
+    """Ten frames of a sensor at rest once per `PERIOD_S`; a touched, invalid or doubtful frame ends them.
 
-    The reconstruct thread shows it every frame, the main thread takes what came of it. Time is the frames' own.
+    The reconstruct thread passes in every frame, the main thread takes the result. Time is that of the frames.
 
     Attributes
     ----------
     at_rest : bool
-        Nothing touched in the latest frame.
+        Whether nothing touched in the latest frame.
     spoiled : int
         How often frames were begun and not finished.
     """
@@ -36,14 +36,14 @@ class UntouchedFrames:
         self._touched_ns = self._due_ns = 0
 
     def take(self) -> list[U8] | Reason | None:
-        """The frames, or the doubt about one of them; None while there are none. Only then are more taken."""
+        """The frames, or the doubt about one of them; None if there are none. Until taken, they block further ones."""
         finished = self._finished
         if finished is not None:
             self._finished = None
         return finished
 
     def see(self, frame: Frame, result: Reconstruction | None) -> None:
-        """See the next frame; without a result it shows a contact."""
+        """Take the next frame; one without a result shows a contact."""
         now_ns, last_ns = frame.t_ns, self._last_ns
         self._last_ns = now_ns
         known = last_ns is not None and 0 <= now_ns - last_ns <= GAP_S * 1e9

@@ -1,1 +1,1 @@
-"""The robot beside the sensor: its line, its clock, its commands."""
+"""The robot next to the sensor: its line, clock and commands."""

@@ -1,4 +1,4 @@
-"""The robot's clock and poses, between the thread that receives them and those that use them."""
+"""The robot's clock and poses, shared by the thread that receives them and those that use them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tacshade_edge.types import Pose
 
 
 class RobotMotion:
-    """What is known of where the sensor was. Any thread; nothing here waits for more than a few microseconds."""
+    """Where the sensor was and when. Any thread may use it; no call waits more than a few microseconds."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -23,24 +23,24 @@ class RobotMotion:
         self._restarts = 0
 
     def restart(self) -> None:
-        """The robot greeted: its clock is another."""
+        """Start over with another clock: the robot sent its greeting."""
         with self._lock:
             self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
             self._forget_old()
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """A ``SYNC`` arrived; `sync_answered` must follow."""
+        """Take a ``SYNC`` that arrived; `sync_answered` must follow."""
         with self._lock:
             self._sync.sync_received(t1_ns, t2_ns, t4_ns)
             self._forget_old()
 
     def sync_answered(self, t3_ns: int) -> None:
-        """Its reply was given to the port."""
+        """Take the time at which the reply to the ``SYNC`` was given to the port."""
         with self._lock:
             self._sync.sync_answered(t3_ns)
 
     def add(self, arrived: PoseArrived) -> None:
-        """A pose arrived."""
+        """Add a pose that arrived."""
         sample = arrived.sample
         with self._lock:
             self._sync.stamp_received(sample.t_ns, arrived.arrived_ns)
@@ -48,7 +48,7 @@ class RobotMotion:
             self._poses.add(Pose(sample.t_ns, *sample.values))
 
     def at(self, t_ns: int) -> tuple[Pose, int] | None:
-        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and how far from it that may be, in µs; None if unknown."""
+        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and its greatest time error in µs; None if unknown."""
         with self._lock:
             robot = self._sync.to_robot(t_ns)
             sample = None if robot is None else self._poses.at(robot.t_ns)
@@ -57,12 +57,12 @@ class RobotMotion:
         return replace(sample.pose, t_ns=t_ns), -(-(robot.error_ns + sample.extrapolated_ns) // 1000)
 
     def state(self) -> SyncState:
-        """How well the clock is known."""
+        """State of the clock synchronisation."""
         with self._lock:
             return self._sync.state()
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``health``."""
+        """The counts for ``health``."""
         with self._lock:
             state, counts, late = self._sync.state(), self._sync.counts, self._poses.late
             return {
@@ -78,7 +78,7 @@ class RobotMotion:
             }
 
     def _forget_old(self) -> None:
-        """Poses of a clock that is no more."""
+        """Drop the poses of an earlier clock."""
         if self._restarts != self._sync.counts.restarts:
             self._restarts = self._sync.counts.restarts
             self._poses.clear()

@@ -1,4 +1,4 @@
-"""The robot beside the sensor: all of the daemon that is there only with ``serial`` in the settings."""
+"""The robot next to the sensor: the part of the daemon that exists only with ``serial`` in the settings."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Need
 
-# A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
+# How long a frame waits for the pose after it: enough if the robot sends ten a second.
 POSE_WAIT_NS = 120_000_000
 LATENCY_MAX_MS = 1
 
 
 class Robot(FrameObserver):
-    """Its line, its clock and its poses.
+    """The robot's line, clock and poses.
 
     Parameters
     ----------
     port : SerialPort or None
-        None where another sensor has it.
+        None if another sensor has the port.
     on_request : callable
-        Takes the robot's requests for the main thread.
+        Passes the robot's requests to the main thread.
     state : callable
-        The daemon's state, as for ``req/status``.
+        Returns the daemon's state, as for ``req/status``.
     publish_status : callable
         ``publish_status(payload)`` publishes ``status/serial``.
     missing : callable
-        Why there is no calibration; None when there is one.
+        Returns why there is no calibration; None if there is one.
     shared : SharedLine or None
-        Where other sensors have the same line; needed without a port.
+        Present if other sensors have the same line; needed without a port.
 
     Attributes
     ----------
@@ -81,17 +81,17 @@ class Robot(FrameObserver):
         self._thread = threading.Thread(target=self._channel.run, name="serial", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve the line."""
+        """Start to serve the line."""
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Let go of the line."""
+        """Stop serving the line."""
         self._stopped.set()
         self._channel.stop()
         self._thread.join(timeout_s)
 
     def poll(self) -> None:
-        """Publish ``status/serial`` when it changed; called in the main thread."""
+        """Publish ``status/serial`` when it has changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
         if isinstance(self.motion, ForwardingMotion):
             quiet_since_ns, counts = self._channel.quiet_since_ns, self._channel.as_dict()
@@ -113,12 +113,12 @@ class Robot(FrameObserver):
             self._publish_status(status)
 
     def health(self) -> dict[str, Any]:
-        """The line's, the clock's and the frames' counts."""
+        """The counts of the line, the clock and the frames."""
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
         return {**self._channel.as_dict(), **self.motion.as_dict(), **frames, **self._touch.as_dict()}
 
     def need(self) -> Need:
-        """Depth, while a capture waits, and a touch while the robot listens to them."""
+        """Depth while a capture waits, and touches while the robot has switched them on."""
         depth = Need.DEPTH if self.commands.capture_pending else Need.CONTACT
         return depth | Need.TOUCH if self._touch.is_on else depth
 
@@ -129,21 +129,21 @@ class Robot(FrameObserver):
             self._touch.observe(seen.reconstruction)
 
     def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Answer what the robot asked for over its line."""
+        """Answer a request of the robot over its line."""
         return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
-        """Wait for the pose after the frame, and give the frame the pose between it and the one before."""
+        """Wait for the pose after the frame, and add the pose interpolated between it and the one before."""
         self._stopped.wait(max(0, frame.t_ns + POSE_WAIT_NS - time.monotonic_ns()) / 1e9)
         known = self.motion.at(frame.t_ns)
         return frame if known is None else replace(frame, pose=known[0], pose_error_us=known[1])
 
     def knows_pose(self) -> bool:
-        """Whether a frame of now would get one, once the pose after it is there."""
+        """Whether a frame taken now would get a pose, once the pose after it has come."""
         return self.motion.at(time.monotonic_ns() - POSE_WAIT_NS) is not None
 
     def with_pose(self, frame: Frame) -> Frame:
-        """The frame with the pose that the sensor had."""
+        """The frame with the pose that the sensor had, if known."""
         known = self.motion.at(frame.t_ns)
         if known is None:
             self._without_pose += 1

@@ -1,4 +1,4 @@
-"""The serial thread: opens the port, again and again, and carries bytes between it and the link."""
+"""The serial thread: opens the port, reopens it when lost, and carries bytes between it and the link."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _log = logging.getLogger(__name__)
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 SILENT_NS = 3_000_000_000
 GAP_PERIOD_NS, GAP_LOG_PERIOD_NS = 1_000_000_000, 60_000_000_000
-NOT_READING_PAUSE_S = 1.0  # a robot that takes nothing is not waited for again and again
+NOT_READING_PAUSE_S = 1.0  # a robot that does not read gets nothing for this long
 
 
 @dataclass(frozen=True, slots=True)
 class PortState:
-    """How the port is."""
+    """State of the port."""
 
     state: Literal["away", "open"]
     reason: Reason | None = None
@@ -37,7 +37,6 @@ class PortState:
 
 class SerialChannel:
     """One robot's line.
-
 
     Attributes
     ----------
@@ -74,7 +73,7 @@ class SerialChannel:
         self._port.wake()
 
     def run(self) -> None:
-        """Serve the robot until `stop`; a lost port is opened again with growing pauses."""
+        """Serve the robot until `stop`; reopen a lost port with growing pauses."""
         retry_s = FIRST_RETRY_S
         while not self._stop.is_set():
             try:
@@ -94,7 +93,7 @@ class SerialChannel:
             retry_s = min(2 * retry_s, LONGEST_RETRY_S)
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``health``."""
+        """The counts for ``health``."""
         return {
             **self._link.counts.as_dict(),
             "reopened": max(0, self._opened - 1),
@@ -103,7 +102,7 @@ class SerialChannel:
         }
 
     def _on_open(self) -> None:
-        """A session outlives its port: the robot learns how long it was away."""
+        """Report to the robot how long the port was away: a session outlives its port."""
         self._opened += 1
         self.quiet_since_ns = time.monotonic_ns()
         away_ms = 0
@@ -115,7 +114,7 @@ class SerialChannel:
         self._link.notify(PortOpened(away_ms))
 
     def _turn(self) -> bool:
-        """One wait for bytes, and all that they cause; whether some came."""
+        """Wait once for bytes and handle all that they cause; return whether some came."""
         data = self._port.read()
         now_ns = time.monotonic_ns()
         if data:
@@ -150,7 +149,7 @@ class SerialChannel:
             _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
 
     def _send_touch(self) -> None:
-        """Give the newest touch to a port that has less than a line to send, so that it is the newest there too."""
+        """Pass the newest touch to a port with less than a line to send, so that the port sends the newest."""
         if time.monotonic() < self._write_after_s or self._port.unsent() >= LINE_BYTES_MAX:
             return
         if (seen := self._commands.touch.take()) is not None:
@@ -163,7 +162,7 @@ class SerialChannel:
         if time.monotonic() < self._write_after_s:
             self._unsent_bytes += len(data)
         elif not self._port.write(data):
-            # Some of it may be out; the robot's parser drops what is cut, and asks again.
+            # Some of it may be sent; the robot's parser drops the cut line, and the robot repeats the command.
             self._unsent_bytes += len(data)
             self._write_after_s = time.monotonic() + NOT_READING_PAUSE_S
 

@@ -1,4 +1,4 @@
-"""What the robot's commands do. They arrive in the serial thread and are answered through a queue, from any thread."""
+"""Carries out the robot's commands. They arrive in the serial thread; any thread answers them through a queue."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ class Sessions(Protocol):
     """Stitching sessions, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
 
     def submit(self, action: str, name: str, reply: Callable[[SessionResult | Reason], None]) -> None:
-        """Do `action` (``BEGIN`` ...; `name` is empty where none was given) without waiting.
+        """Do `action` (``BEGIN`` ...) without waiting; `name` is empty if none was given.
 
-        `reply` is called once, now or later, from any thread, with what it gave or why it was not done.
+        `reply` is called once, now or later, from any thread, with the result or the reason that there is none.
         """
         ...
 
 
 class SerialCommands:
-    """Does each command once and answers it once.
+    """Carries out each command once and answers it once.
 
     Parameters
     ----------
     motion : RobotMotion
     on_request : callable
-        Takes a `Request` for the main thread, as MQTT's are; its outcome comes to `complete`.
+        Passes a `Request` to the main thread, as for MQTT; `complete` receives its outcome.
     state : callable
-        The daemon's state, as for ``req/status``.
+        Returns the daemon's state, as for ``req/status``.
     missing : callable
-        Why there is no calibration; None when there is one.
+        Returns why there is no calibration; None if there is one.
     wake : callable
         Called when an answer waits to be sent.
     touch : TouchEvents
@@ -60,7 +60,7 @@ class SerialCommands:
     Attributes
     ----------
     sessions : Sessions or None
-        None answers ``UNAVAILABLE``.
+        With None the answer is ``UNAVAILABLE``.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class SerialCommands:
         self._requests: list[tuple[Request, Command]] = []
 
     def handle(self, command: Command, link: SerialLink) -> None:
-        """Begin a command; called in the serial thread."""
+        """Start a command; called in the serial thread."""
         if command.verb == "SYNC":
             t1_ns, *rest = map(int, command.args)
             self._motion.sync_received(t1_ns, command.arrived_ns, rest[0] if rest else None)
@@ -117,7 +117,7 @@ class SerialCommands:
             self.sessions.submit(action, name[0] if name else "", lambda outcome: self._answer(command, outcome))
 
     def send_answers(self, link: SerialLink) -> None:
-        """Give the link what was answered since; called in the serial thread."""
+        """Give the link the answers since the last call; called in the serial thread."""
         now_ns = time.monotonic_ns()
         with self._lock:
             late = [c for c in self._captures if now_ns - c.arrived_ns > CAPTURE_TIMEOUT_NS]
@@ -133,7 +133,7 @@ class SerialCommands:
 
     @property
     def capture_pending(self) -> bool:
-        """Whether a CAPTURE wants the next reconstruction."""
+        """Whether a CAPTURE waits for the next reconstruction."""
         return bool(self._captures)
 
     def observe(self, frame: Frame, result: Reconstruction) -> None:
@@ -147,7 +147,7 @@ class SerialCommands:
             self._answer(command, _captured(frame, result))
 
     def complete(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Take the main thread's outcome of a request: True when it was one of the robot's."""
+        """Take the main thread's outcome of a request; True if the robot made the request."""
         with self._lock:
             command = next((c for r, c in self._requests if r is request), None)
             self._requests = [(r, c) for r, c in self._requests if r is not request]

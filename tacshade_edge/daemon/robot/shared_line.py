@@ -1,8 +1,8 @@
-"""A robot's line that several sensors' processes share: one has the port, and hands on what it learns of the robot.
+"""Lets several sensors' processes share a robot's line: one has the port and forwards what it learns of the robot.
 
-What is handed on is what `RobotMotion` takes, so that all have the same clock and the same poses; commands and their
-answers stay with the one that has the port. Each follower has a pair of datagram sockets of its own, made before the
-processes are forked, and nobody waits for it: a pose that finds no room is one pose less.
+It forwards what `RobotMotion` takes, so that all have the same clock and the same poses; commands and their answers
+stay with the process that has the port. Each follower has its own pair of datagram sockets, made before the processes
+are forked, and nobody waits for a follower: a pose that finds no room is lost to it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Pose(msgspec.Struct, frozen=True, tag=1, array_like=True):
 
 
 class _Sync(msgspec.Struct, frozen=True, tag=2, array_like=True):
-    """A whole exchange: half of one would be another's."""
+    """A whole exchange, so that the halves of two never mix."""
 
     t1_ns: int
     t2_ns: int
@@ -60,16 +60,16 @@ _decoder: Final = msgspec.msgpack.Decoder(_Pose | _Sync | _Restart | _Port)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedLine:
-    """A sensor's part in a line that is shared.
+    """A sensor's part in a shared line.
 
     Attributes
     ----------
     owner : str
         The sensor that has the port.
     ends : tuple of socket
-        To each follower, where this is the owner.
+        The owner's, one to each follower.
     hears : socket or None
-        From the owner, where this is a follower.
+        The follower's, from the owner.
     """
 
     owner: str
@@ -83,7 +83,7 @@ class SharedLine:
 
 
 def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
-    """What each sensor has of a port that several name; the first of them has the port. Others are left out."""
+    """Each sensor's part in a port that several name; the first of them has the port. Other sensors are left out."""
     names: dict[str, list[str]] = {}
     for document in documents:
         if (serial := document.settings.serial) is not None:
@@ -102,7 +102,7 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
 
 
 class ForwardingMotion(RobotMotion):
-    """A `RobotMotion` that hands on what it takes."""
+    """A `RobotMotion` that forwards what it takes."""
 
     def __init__(self, ends: Sequence[socket.socket]) -> None:
         super().__init__()
@@ -129,7 +129,7 @@ class ForwardingMotion(RobotMotion):
         self._forward(_Pose(arrived.sample, arrived.arrived_ns))
 
     def forward_port(self, state: PortState, mode: Mode, quiet_since_ns: int, counts: dict[str, Any]) -> None:
-        """Hand on how the port is: a change at once, else once a second."""
+        """Forward the port's state: a change at once, otherwise once a second."""
         now_ns = time.monotonic_ns()
         changed = self._port is None or (state, mode) != (self._port.state, self._port.mode)
         if changed or now_ns - self._port_reported_ns >= _PORT_PERIOD_NS:
@@ -144,13 +144,12 @@ class ForwardingMotion(RobotMotion):
 
 
 class FollowingChannel:
-    """In a `SerialChannel`'s place where another sensor has the port.
-
+    """Replaces a `SerialChannel` if another sensor has the port.
 
     Attributes
     ----------
     port_state : PortState
-        With the owner among its details.
+        Its details include the owner.
     quiet_since_ns : int
     mode : str
     """
@@ -170,11 +169,11 @@ class FollowingChannel:
         self._stop.set()
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``health``: the owner's."""
+        """The owner's counts for ``health``."""
         return dict(self._counts)
 
     def run(self) -> None:
-        """Hear the owner until `stop`."""
+        """Receive from the owner until `stop`."""
         self._hears.settimeout(_READ_S)
         heard_ns = time.monotonic_ns()
         while not self._stop.is_set():

@@ -1,4 +1,4 @@
-"""The newest touch on its way to the robot: a newer one takes the place of one that the port has not taken yet."""
+"""The newest touch on its way to the robot: a newer one replaces one that the port has not taken yet."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from tacshade_edge.protocol.serial.touch import TouchAsked, TouchSeen, too_slow
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Reconstruction
 
-_JITTER = 0.25  # of a period: a frame may come so much early, and counts as in time
+_JITTER = 0.25  # of a period: a frame that is this much early counts as on time
 
 
 class TouchEvents:
-    """What ``TOUCH ON`` asked for, and the event that waits.
+    """What ``TOUCH ON`` requested, and the event that waits.
 
     Parameters
     ----------
     baud : int
-        Of the line.
+        Baud rate of the line.
     wake : callable
         Called when an event waits to be sent.
     """
@@ -36,11 +36,11 @@ class TouchEvents:
 
     @property
     def is_on(self) -> bool:
-        """Whether the robot asked for touches."""
+        """Whether the robot requested touches."""
         return self._asked is not None
 
     def switch(self, asked: TouchAsked | None) -> TouchSwitched | Reason:
-        """Begin with what is asked for, or end; why the line cannot carry it: then all stays as it was."""
+        """Start what was requested, or stop; if the line is too slow, return the reason and change nothing."""
         if asked is not None and (reason := too_slow(asked, self._baud)) is not None:
             return reason
         with self._lock:
@@ -48,7 +48,7 @@ class TouchEvents:
         return TouchSwitched(asked.rate_hz if asked else 0)
 
     def observe(self, result: Reconstruction) -> None:
-        """Keep a frame's touch for the port, where it is due; an invalid frame says nothing."""
+        """Keep a frame's touch for the port if it is due; an invalid frame changes nothing."""
         if self._asked is None or not result.valid:
             return
         with self._lock:
@@ -60,7 +60,7 @@ class TouchEvents:
         self._wake()
 
     def take(self) -> TouchSeen | None:
-        """The event that waits."""
+        """Take the event that waits; None if there is none."""
         with self._lock:
             seen, self._waiting = self._waiting, None
             self._events += seen is not None
@@ -77,7 +77,7 @@ class TouchEvents:
             ended, self._touches = self._touches, False
             return TouchSeen(result.seq, result.t_ns, False, tuple((n, None) for n in asked.names)) if ended else None
         if (touch := result.touch) is None:
-            return None  # the frame was begun before somebody asked
+            return None  # the frame was begun before the request
         self._touches = True
         period_ns = 1_000_000_000 // asked.rate_hz
         if result.t_ns < self._due_ns - _JITTER * period_ns:

@@ -1,4 +1,4 @@
-"""What of a stitching session is published: ``map/revision`` and ``map/cloud`` as it grows, then ``map/final``."""
+"""Publishes a stitching session: ``map/revision`` and ``map/cloud`` as it grows, then ``map/final``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tacshade_edge.types import F32
 
 PERIOD_S = 1.0
 POINTS_MAX = 20_000
-"""Of a ``map/cloud``: 280 kB; of a larger map with fewer of its nodes."""
+"""Most points of a ``map/cloud``, 280 kB; a larger map is thinned."""
 
 
 class MapPublisher:
-    """Publishes maps, at most once a second while they grow: a raster costs the more, the larger the map is.
+    """Publishes maps, at most once a second while they grow: the larger the map, the more its raster costs.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class MapPublisher:
         self._next_s = 0.0
 
     def publish(self, revision: MapRevision) -> bool:
-        """Publish a revision; True: deferred, since one was published just before. The final one never is."""
+        """Publish a revision; return True if it is deferred because one was just published. The final one never is."""
         now_s = time.monotonic()
         if not revision.folder and now_s < self._next_s:
             return True
@@ -69,7 +69,7 @@ class MapPublisher:
 
 
 def thinned_points(raster: Raster) -> tuple[F32, float]:
-    """Points (N, 3) of every k-th row and column, k so that they are at most `POINTS_MAX`; and their spacing in mm."""
+    """Points (N, 3) of every k-th row and column, with the least k for `POINTS_MAX`, and their spacing in mm."""
     stride = 1
     while np.count_nonzero(np.isfinite(raster.z_mm[::stride, ::stride])) > POINTS_MAX:
         stride += 1

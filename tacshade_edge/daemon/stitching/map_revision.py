@@ -1,4 +1,4 @@
-"""A state of a session's map that subscribers get."""
+"""A state of a session's map, for subscribers."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ class MapRevision:
     Attributes
     ----------
     name : str
-        The session's.
+        Name of the session.
     revision : int
         Counts the presses and the end.
     presses, used : int
-        Those of the session, and those in the map.
+        Number of presses in the session, and in the map.
     calibration_crc32 : int
-        That the session began with.
+        CRC-32 of the calibration that the session began with.
     folder : str
-        Where the final map's files are; empty before the end.
+        Folder of the final map's files; empty before the end.
     raster : callable
         Makes the map in the session's thread; its cost grows with the map, so call it no more often than needed.
     """

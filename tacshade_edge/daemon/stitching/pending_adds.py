@@ -1,4 +1,4 @@
-"""Commands to add a press that wait for the first frame that is taken after them."""
+"""Commands to add a press that wait for the first frame taken after them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ADD_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
 
 Reply = Callable[[SessionResult | Reason], None]
-"""``reply(outcome)``, once: what a command gave, or why it was not done."""
+"""``reply(outcome)``, called once: a command's result, or the reason that there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class _PendingAdd:
 
 
 class PendingAdds:
-    """A bounded list of replies; any thread."""
+    """A bounded list of replies, for any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -33,7 +33,7 @@ class PendingAdds:
         return len(self._pending)
 
     def put(self, since_ns: int, reply: Reply) -> None:
-        """Wait for a frame that is taken at `since_ns` or later; refused at once where too many wait."""
+        """Wait for a frame taken at `since_ns` or later; refuse at once if too many wait."""
         with self._lock:
             busy = len(self._pending) >= WAITING_MAX
             if not busy:
@@ -42,16 +42,16 @@ class PendingAdds:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting for a frame"))
 
     def take(self, t_ns: int) -> list[Reply]:
-        """Those that a frame of `t_ns` is for."""
+        """Remove and return the replies that wait for a frame of `t_ns`."""
         return self._remove(lambda pending: pending.since_ns <= t_ns)
 
     def expire(self, now_ns: int) -> None:
-        """Refuse those that waited too long."""
+        """Refuse the commands that have waited too long."""
         for reply in self._remove(lambda pending: now_ns - pending.since_ns > ADD_TIMEOUT_NS):
             reply(Reason(ReasonCode.TIMEOUT, f"no frame within {ADD_TIMEOUT_NS / 1e9:.0f} s"))
 
     def refuse_all(self, reason: Reason) -> None:
-        """Refuse every one."""
+        """Refuse all commands that wait."""
         for reply in self._remove(lambda _: True):
             reply(reason)
 

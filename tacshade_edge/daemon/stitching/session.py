@@ -1,4 +1,4 @@
-"""A stitching session: its presses, on the disk and in the map."""
+"""A stitching session: its presses, on disk and in the map."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tacshade_edge.types import Calibration
 
 
 class RefusedError(Exception):
-    """A command that cannot be done now, and why."""
+    """A command that cannot be carried out now, and why."""
 
     def __init__(self, code: ReasonCode, text: str) -> None:
         super().__init__(text)
@@ -32,7 +32,7 @@ class RefusedError(Exception):
 
 
 class Session:
-    """An open session; for one thread at a time.
+    """An open session, for one thread at a time.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ class Session:
 
     @classmethod
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
-        """Begin a session in a new folder below `folder`; an empty `name` is the time in UTC.
+        """Begin a session in a new folder below `folder`; an empty `name` becomes the time in UTC.
 
         Raises
         ------
         RefusedError
-            BAD_NAME, NAME_TAKEN.
+            BAD_NAME or NAME_TAKEN.
         DeviceError
             The folder cannot be written.
         """
@@ -74,12 +74,12 @@ class Session:
 
     @classmethod
     def resume(cls, folder: Path, sensor_id: str) -> Session | None:
-        """Go on with the sensor's session below `folder` that was not ended; None where there is none.
+        """Resume the sensor's session below `folder` that has not ended; None if there is none.
 
         Raises
         ------
         TacshadeError
-            It cannot be read or written.
+            The session cannot be read or written.
         """
         with disk_errors(folder):
             path = open_session(folder, sensor_id)
@@ -88,18 +88,18 @@ class Session:
         file, presses = StitchFile.resume(path)
         stitcher = Stitcher(file.info.skin_radius_mm)
         for points, base_T_sensor in presses:
-            with contextlib.suppress(ValueError):  # refused when it came, too
+            with contextlib.suppress(ValueError):  # it was refused when it came, too
                 stitcher.add(points, base_T_sensor)
         return cls(file, stitcher)
 
     @property
     def name(self) -> str:
-        """The session's, and its folder's."""
+        """Name of the session and of its folder."""
         return self._file.info.name
 
     @property
     def folder(self) -> Path:
-        """Of its files."""
+        """Folder of its files."""
         return self._file.folder
 
     @property
@@ -109,20 +109,20 @@ class Session:
 
     @property
     def presses(self) -> int:
-        """How many the map has."""
+        """Number of presses in the map."""
         return self._stitcher.presses
 
     @property
     def points(self) -> int:
-        """How many the presses have."""
+        """Number of points of the presses."""
         return self._stitcher.points
 
     def begun(self) -> SessionBegun:
-        """What begins it."""
+        """The result of beginning it."""
         return SessionBegun(self.name)
 
     def status(self, missed: int) -> SessionStatus:
-        """How it is; `missed` are the contacts at rest that were not added."""
+        """The session's status; `missed` counts the contacts at rest that were not added."""
         tiles = self._stitcher.map.tiles
         return SessionStatus(self.name, self.presses, self.points, tiles, self.revision, missed)
 
@@ -136,7 +136,7 @@ class Session:
         DeviceError
             The disk failed; nothing was added.
         """
-        # On the disk first: what is acknowledged is there. After a crash here the map refuses it again on resuming.
+        # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
         self._file.append(points, base_T_sensor)
         try:
             self._stitcher.add(points, base_T_sensor)
@@ -152,12 +152,12 @@ class Session:
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
     def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
-        """Make the final map and write its files, which takes seconds; the session is over then.
+        """Make the final map and write its files, which takes seconds and ends the session.
 
         Raises
         ------
         DeviceError
-            The disk failed; the session is open still.
+            The disk failed; the session is still open.
         """
         final = self._stitcher.finish()
         raster, crc32 = final.raster, self._file.info.calibration_crc32
@@ -182,7 +182,7 @@ class Session:
         )
 
     def abort(self) -> SessionAborted:
-        """Throw it away. Raises DeviceError."""
+        """Delete the session. Raises DeviceError."""
         self._file.remove()
         return SessionAborted(self.name, self.presses)
 

@@ -1,4 +1,4 @@
-"""Stitching in the daemon: its thread, ``req/stitch`` and ``status/stitching``; there only where frames have poses."""
+"""Stitching in the daemon: its thread, ``req/stitch`` and ``status/stitching``; present only if frames have poses."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _REPORTED = ("name", "presses", "points", "revision", "missed", "folder")
 
 
 class SessionRequests(FrameObserver):
-    """The App's side of `SessionWorker`; used by the main thread, but for the frames.
+    """The App's side of `SessionWorker`; only the main thread uses it, except for `see`.
 
     Parameters
     ----------
     folder : Path
-        For sessions.
+        Folder of the sessions.
     sensor_id : str
-        Whose they are.
+        Sensor that the sessions belong to.
     publish : callable
         ``publish(topic, payload)``, retained; from any thread.
     reply : Reply
-        From any thread.
+        Called from any thread.
     robot : Robot or None
-        Gives frames their poses and commands sessions too; without one the source's frames have poses.
+        Adds poses to frames and commands sessions too; without one, the source's frames have poses.
     """
 
     health_key = "stitching"
@@ -59,7 +59,7 @@ class SessionRequests(FrameObserver):
         self._thread = threading.Thread(target=self._worker.run, name="stitch", daemon=True)
 
     def start(self) -> None:
-        """Go on with a session that was open, and serve commands."""
+        """Resume a session that was open, and serve commands."""
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
@@ -73,16 +73,16 @@ class SessionRequests(FrameObserver):
         return Need.DEPTH if self._worker.open else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """Look whether a frame is a press."""
+        """Check whether a frame is a press."""
         if seen.reconstruction is not None and seen.calibration is not None:
             self._worker.observe(seen.frame, seen.reconstruction, seen.calibration)
 
     def handle(self, request: Request) -> None:
-        """Begin to do what ``req/stitch`` wants; its one reply comes when that is done."""
+        """Start what ``req/stitch`` requests; its one reply comes when that is done."""
         self._worker.submit(request.action.upper(), request.name, lambda outcome: self._reply(request, outcome))
 
     def poll(self) -> None:
-        """Refuse what waits in vain; publish ``status/stitching`` when it changed."""
+        """Refuse commands that have waited too long; publish ``status/stitching`` when it has changed."""
         self._worker.poll()
         session = self._worker.state
         state: str = "idle"

@@ -1,7 +1,7 @@
-"""The thread `stitch`, and what other threads hand to it: commands of sessions, and frames that may be presses.
+"""The thread `stitch`, and its inputs from other threads: commands for sessions, and frames that may be presses.
 
-Everything that touches a session runs there: the map, the disk, the end that takes seconds. The reconstruct thread only
-decides whether a frame is a press, and hands its points over.
+Everything that touches a session runs there: the map, the disk, the end, which takes seconds. The reconstruct thread
+only decides whether a frame is a press, and passes its points on.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ _NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """The sessions at one instant.
+    """The state of the sessions at one instant.
 
     Attributes
     ----------
     name : str
-        Of the open session; empty: none is.
+        Name of the open session; empty if there is none.
     ending : bool
-        Its map is being made, which takes seconds.
+        Whether its map is being made, which takes seconds.
     presses, points, revision : int
     missed : int
         Contacts at rest that could not be added to the latest session, since the daemon started.
     missed_reason : Reason or None
-        Why the latest one could not; None once another could.
+        Why the latest such contact could not be added; None once another was added.
     folder : str
-        Files of the latest map that ended; empty before.
+        Folder of the latest finished map; empty before.
     """
 
     name: str = ""
@@ -87,17 +87,17 @@ class SessionWorker:
     Parameters
     ----------
     folder : Path
-        Sessions lie below it, each in its own folder. One that was open when the daemon died goes on. While another
-        process has the folder, there are none here.
+        Contains each session's own folder. A session that was open when the daemon died is resumed. While another
+        process owns this folder, there are no sessions here.
     sensor_id : str
-        Whose sessions they are.
+        Sensor that the sessions belong to.
     publish_map : callable
-        ``publish_map(revision)`` after each press and at the end, in this object's thread; True: it was deferred, and
-        is to be published in a moment, as it is then.
+        ``publish_map(revision)`` after each press and at the end, in this object's thread; True if it was deferred: the
+        map is then published a moment later, as it is by then.
     with_pose : callable
-        Gives a frame its pose; called in this object's thread, which it may keep waiting for a moment.
+        Adds the pose to a frame; called in this object's thread, and may wait a moment.
     automatic : bool
-        Every contact that comes to rest while a session is open is added.
+        Whether to add every contact that comes to rest while a session is open.
     """
 
     def __init__(
@@ -130,24 +130,24 @@ class SessionWorker:
 
     @property
     def state(self) -> SessionState:
-        """As any thread may see it."""
+        """The present state, for any thread."""
         with self._lock:
             return replace(self._state, missed=self._missed, missed_reason=self._missed_reason)
 
     @property
     def open(self) -> bool:
-        """Whether a session is open: every frame is then reconstructed in whole."""
+        """Whether a session is open: every frame's depth is then reconstructed."""
         return bool(self._state.name)
 
     def as_dict(self) -> dict[str, int]:
-        """For ``health``: presses that were added, refused commands to add one, contacts at rest that were missed."""
+        """Counts for ``health``: presses added, commands to add one refused, contacts at rest missed, jobs waiting."""
         with self._lock:
             return {**self._counts, "waiting": len(self._pending_adds) + self._jobs.qsize()}
 
-    # What other threads call: nothing here waits.
+    # Other threads call these; none of them waits.
 
     def submit(self, action: str, name: str, reply: Reply) -> None:
-        """Do ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the reply comes later, from any thread."""
+        """Carry out ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the reply comes later, from any thread."""
         if action == "ADD":
             reply = self._counting_refusals(reply)
         if action == "ADD" and self.open:
@@ -158,7 +158,7 @@ class SessionWorker:
             self._jobs.put(_Command(action, name, reply))
 
     def observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
-        """Add the frame where an ``ADD`` waits for it, or where its contact has come to rest."""
+        """Add the frame if an ``ADD`` waits for it, or if its contact has come to rest."""
         self._calibration = calibration
         if not self.open:
             return
@@ -184,11 +184,11 @@ class SessionWorker:
             reply(Reason(ReasonCode.BUSY, f"frame {result.seq} is already being added"))
 
     def poll(self) -> None:
-        """Refuse what waits for a frame in vain; called now and then."""
+        """Refuse commands that have waited too long for a frame; called now and then."""
         self._pending_adds.expire(time.monotonic_ns())
 
     def stop(self) -> None:
-        """Make `run` return after the jobs that wait; an open session stays open on the disk."""
+        """Make `run` return after the waiting jobs; an open session stays open on the disk."""
         self._jobs.put("stop")
 
     def _counting_refusals(self, reply: Reply) -> Reply:
@@ -201,7 +201,7 @@ class SessionWorker:
         return counting
 
     def _automatic_reply(self, outcome: SessionResult | Reason) -> None:
-        """Of a contact at rest, for which no one waits."""
+        """Take the outcome for a contact at rest, which nobody waits for."""
         if not isinstance(outcome, Reason):
             with self._lock:
                 self._missed_reason = None
@@ -212,10 +212,10 @@ class SessionWorker:
             self._missed += 1
             self._counts["missed"] += 1
 
-    # The thread.
+    # The thread runs these.
 
     def run(self) -> None:
-        """Go on with an open session, then do one job after another until `stop`."""
+        """Resume an open session, then do one job after another until `stop`."""
         self._resume()
         while (job := self._next_job()) != "stop":
             if job is None:
@@ -239,7 +239,7 @@ class SessionWorker:
             self._folder_lock.release()
 
     def _next_job(self) -> _Command | _Add | Literal["stop"] | None:
-        """None when it is time to publish a map that was deferred."""
+        """The next job; None when it is time to publish a deferred map."""
         try:
             return self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
         except Empty:
@@ -251,7 +251,7 @@ class SessionWorker:
     def _resume(self) -> None:
         try:
             with disk_errors(self._folder):
-                if not self._folder.is_dir():  # it is made with the first session
+                if not self._folder.is_dir():  # the first session makes it
                     return
             self._own_folder()
             session = Session.resume(self._folder, self._sensor_id)

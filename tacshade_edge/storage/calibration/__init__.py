@@ -1,1 +1,1 @@
-"""Calibrations on disk, and the reference that a daemon was asked to take."""
+"""Calibrations on disk, and the references that a running daemon took."""

@@ -1,4 +1,4 @@
-"""What a calibration's file may hold: a right checksum says who wrote it last, not that it is one."""
+"""Checks a calibration file's content: a matching checksum does not prove that the content is a calibration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tacshade_edge.storage.checked_npz import Content
 from tacshade_edge.types import Binarisation, Polarity
 
 _MOST = 1e6
-# Their ranges are `Calibration`'s own to check; what it does not check has its range here.
+# `Calibration` checks most ranges itself; the types here bound the rest.
 _Bounded = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 
 
@@ -38,18 +38,18 @@ class _Scalars(msgspec.Struct, frozen=True):
 
 
 def check(content: Content, references: tuple[str, ...]) -> None:
-    """Refuse what is no calibration.
+    """Refuse content that is not a calibration.
 
     Parameters
     ----------
     content : Content
     references : tuple of str
-        Names of the arrays that are images of one size.
+        Names of the arrays that must be images of one size.
 
     Raises
     ------
     ValueError
-        Which value is missing, of a wrong type or out of its range.
+        A value is missing, of the wrong type or out of range; the text names it.
     """
     scalars = msgspec.convert(content.meta, _Scalars)
     numbers = (*scalars.flange_T_sensor, *scalars.fit.values())
@@ -65,7 +65,7 @@ def check(content: Content, references: tuple[str, ...]) -> None:
 
 
 def _check_fit(fit: Mapping[str, Any]) -> None:
-    """Without a fit there are no figures; with one none is missing."""
+    """Refuse a fit with some figures missing; an empty one is no fit."""
     suffix = "_depth_mae_mm"
     profiles = [key.removesuffix(suffix) for key in fit if key.endswith(suffix)]
     keys = {"presses", "agreement_mae_mm", "position_mae_mm"}

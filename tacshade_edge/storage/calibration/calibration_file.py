@@ -1,4 +1,4 @@
-"""The calibration as one ``.npz``: versioned, checksummed, written whole or not at all."""
+"""The calibration as one ``.npz`` file: versioned, checksummed, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry,
 _log = logging.getLogger(__name__)
 
 VERSION = 8
-"""Also of the networks: factors are fitted to the weights shipped then (tests/inference/test_network.py)."""
+"""It also counts the networks, as factors fit the weights shipped with them (tests/inference/test_network.py)."""
 OLDEST = 6
-"""Versions from here on differ only in the networks that their factors are of: older factors are left out."""
+"""Oldest readable version; later ones differ only in the networks that their factors fit. Older factors are ignored."""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 
 
 def fit_figures(fit: Fit | None) -> dict[str, float]:
-    """A fit under flat keys, as the file and the commands' JSON have it; a profile's begin with its name."""
+    """A fit under flat keys, as in the file and in the commands' JSON; a profile's keys begin with its name."""
     if fit is None:
         return {}
     figures: dict[str, float] = {
@@ -42,7 +42,7 @@ def fit_figures(fit: Fit | None) -> dict[str, float]:
 
 
 def _fit(figures: dict[str, float]) -> Fit | None:
-    """What `fit_figures` made flat."""
+    """The fit that `fit_figures` flattened."""
     if not figures:
         return None
     suffix = "_depth_mae_mm"
@@ -61,7 +61,7 @@ def _fit(figures: dict[str, float]) -> Fit | None:
 
 
 def _content(calibration: Calibration) -> Content:
-    """Its scalars and its arrays."""
+    """The scalars and arrays of a calibration."""
     geometry, disc = calibration.geometry, calibration.geometry.disc
     meta = {
         "version": VERSION,
@@ -80,7 +80,7 @@ def _content(calibration: Calibration) -> Content:
         "fit": fit_figures(calibration.fit),
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    if calibration.error_scales:  # older files have none, and keep their checksum
+    if calibration.error_scales:  # older files have none and must keep their checksum
         meta["error_scales"] = dict(calibration.error_scales)
     arrays = {name: getattr(calibration, name) for name in REFERENCE_ARRAYS}
     for key, packed in (
@@ -105,7 +105,7 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
     path : str
     calibration : Calibration
     inputs : Inputs, optional
-        What it was made of, so that `inputs_in` finds it. The log says where that is too large.
+        The calibration's source images, for `inputs_in`. If they are too large, a log line says so.
 
     Returns
     -------
@@ -132,12 +132,12 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration. One of an older version has no factors and no fit, which the log says.
+    """Read a calibration. An older version loads without factors and fit, and the log says so.
 
     Raises
     ------
     ConfigError
-        Absent, not a calibration, another version, damaged, or of a sensor that cannot be.
+        The file is absent, not a calibration, of another version, damaged, or describes an impossible sensor.
     """
     name = os.fspath(path)
     content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
@@ -148,19 +148,19 @@ def load(path: str | os.PathLike[str]) -> Calibration:
 
 
 def version_of(path: str | os.PathLike[str]) -> int | None:
-    """What a file says of its version; None where that is none. Raises ConfigError: absent, damaged, something else."""
+    """A file's stated version; None if that is not an integer. Raises ConfigError like `inputs_in`."""
     content, _ = checked_npz.read(os.fspath(path), "calibration", "`tacshade-edge calibrate`")
     version = content.meta.get("version")
     return version if type(version) is int else None
 
 
 def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
-    """What a calibration of this version or another was made of; None where its file does not have it.
+    """The inputs that a calibration of any version was made from; None if its file does not hold them.
 
     Raises
     ------
     ConfigError
-        Absent, not a calibration, or damaged.
+        The file is absent, not a calibration, or damaged.
     """
     name = os.fspath(path)
     content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
@@ -176,7 +176,7 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
 
 
 def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
-    """The fitted networks of a calibration of this version or another. Raises ConfigError as `inputs_in`."""
+    """The fitted networks of a calibration of any version. Raises ConfigError like `inputs_in`."""
     name = os.fspath(path)
     content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
     try:
@@ -186,7 +186,7 @@ def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
 
 
 def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
-    """The touch models of a calibration of this version or another. Raises ConfigError as `inputs_in`."""
+    """The touch models of a calibration of any version. Raises ConfigError like `inputs_in`."""
     name = os.fspath(path)
     content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
     try:

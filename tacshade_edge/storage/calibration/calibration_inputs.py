@@ -1,4 +1,4 @@
-"""What a calibration was made of, inside its file: grey PNG images and the triangles of indenters, end to end."""
+"""A calibration's inputs inside its file: grey PNG images and the indenters' triangles, concatenated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tacshade_edge.types import U8
 IMAGES, TRIANGLES = "input_images", "input_triangles"
 ARRAYS = (IMAGES, TRIANGLES)
 BYTES_MAX: Final = 48 << 20
-"""Of its images: more is not kept."""
+"""Greatest total size of the images; larger ones are not stored."""
 
 
 class _Press(msgspec.Struct, forbid_unknown_fields=True):
@@ -41,7 +41,7 @@ class _Indenter(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _Inputs(msgspec.Struct, forbid_unknown_fields=True):
-    """Lengths of the PNG files in their order (references, renewed, presses), and all that is no array."""
+    """The lengths of the PNG files in order (references, renewed, presses), and everything that is not an array."""
 
     sensor: Sensor
     references: list[int]
@@ -52,7 +52,7 @@ class _Inputs(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def pack(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """For JSON, and `ARRAYS`; None where its images are too large to be kept."""
+    """Pack inputs as values for JSON and the arrays `ARRAYS`; None if the images are too large to store."""
     groups = (inputs.references, inputs.renewed, tuple(press.image for press in inputs.presses))
     files = [[_png(image) for image in group] for group in groups]
     if sum(len(file) for group in files for file in group) > BYTES_MAX:
@@ -79,12 +79,12 @@ def pack(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
 
 
 def unpack(meta: Mapping[str, Any], arrays: Mapping[str, Any], shape: tuple[int, int]) -> Inputs:
-    """What `pack` packed, of images of `shape`.
+    """Unpack what `pack` returned, with images of `shape`.
 
     Raises
     ------
     ValueError
-        It did not pack that.
+        `pack` did not make it.
     """
     known = msgspec.convert(meta, _Inputs)
     if len(known.pressed) != len(known.presses):

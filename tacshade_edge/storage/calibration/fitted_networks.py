@@ -1,4 +1,4 @@
-"""Fitted weights inside a calibration's file: an array of each profile, its weights and after them its correction."""
+"""Fitted networks inside a calibration's file: one array per profile, its weights followed by its correction."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class _Fitted(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def array_name(profile: str) -> str:
-    """Name of a profile's array."""
+    """The name of a profile's array."""
     return f"fitted_{profile}"
 
 
 def pack(fitted: Mapping[str, FittedNetwork]) -> tuple[dict[str, Any], dict[str, F32]]:
-    """For JSON, and the arrays."""
+    """Pack fitted networks as values for JSON and arrays."""
     meta = {
         name: {
             "layout": each.layout,
@@ -47,12 +47,12 @@ def pack(fitted: Mapping[str, FittedNetwork]) -> tuple[dict[str, Any], dict[str,
 
 
 def unpack(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> dict[str, FittedNetwork]:
-    """What `pack` packed.
+    """Unpack what `pack` returned.
 
     Raises
     ------
     ValueError
-        It did not pack that.
+        `pack` did not make it.
     """
     known = msgspec.convert(meta, dict[str, _Fitted])
     return {name: _fitted(each, arrays.get(array_name(name))) for name, each in known.items()}

@@ -1,4 +1,4 @@
-"""The reference that a running daemon was asked to take: one ``.npz`` beside the calibration, which it belongs to."""
+"""The reference that a running daemon took: one ``.npz`` file next to the calibration that it belongs to."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ VERSION = 2
 
 @dataclass(frozen=True, slots=True)
 class StoredReference:
-    """A reference that was taken.
+    """A reference that the daemon took.
 
     Attributes
     ----------
     calibration : Calibration
-        With this reference.
+        The calibration with this reference.
     wall_ns : int
-        When it was taken.
+        Unix time when it was taken.
     """
 
     calibration: Calibration
@@ -36,24 +36,24 @@ class StoredReference:
 
 
 def path_beside(calibration_path: str | os.PathLike[str]) -> Path:
-    """Where the reference of a calibration's file lies: two sensors' files in one folder have two."""
+    """The path of the reference for a calibration's file; two sensors' files in one folder get different ones."""
     return Path(calibration_path).with_suffix(".reference.npz")
 
 
 def save(path: Path, calibrated: Calibration, reference: StoredReference) -> None:
-    """Write a reference whole, so that a loss of power does not lose it.
+    """Write a reference whole, so that it survives a power cut.
 
     Parameters
     ----------
     path : Path
     calibrated : Calibration
-        That it belongs to, as in its file.
+        The calibration that it belongs to, as in its file.
     reference : StoredReference
 
     Raises
     ------
     DeviceError
-        It cannot be written.
+        The file cannot be written.
     """
     calibration = reference.calibration
     meta = {
@@ -69,12 +69,12 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
 
 
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
-    """Read the reference of a calibration, as its file has it; None where none was stored.
+    """Read the stored reference of a calibration, given as in its file; None if there is none.
 
     Raises
     ------
     ConfigError
-        Unreadable, damaged, not a reference; with `ReasonCode.CALIBRATION_CHANGED` that of another calibration.
+        Unreadable, damaged, not a reference, or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
     """
     if not os.path.lexists(path):
         return None
@@ -98,7 +98,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
 
 
 def belongs_to(calibrated: Calibration) -> int:
-    """CRC-32 of what a new reference replaces or lies on: it stays when a calibration is made again by an update."""
+    """CRC-32 of the values that a new reference replaces or uses; recalibration after an update keeps it."""
     disc = calibrated.geometry.disc
     meta = {"disc": [disc.row_c, disc.col_c, disc.radius_px], "binarisation": calibrated.binarisation}
     return Content(meta, {name: getattr(calibrated, name) for name in REFERENCE_ARRAYS}).crc32

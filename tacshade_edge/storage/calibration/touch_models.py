@@ -1,4 +1,4 @@
-"""Touch models inside a calibration's file: of each profile its components in 16 bits, and all other numbers in 32."""
+"""Touch models inside a calibration's file: for each profile 16-bit components, and all other numbers in 32 bits."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _NUMBERS = ("scale", "width", "leverage_max", "residual_max", "imprint_max")
 
 
 def array_names(profile: str) -> tuple[str, str]:
-    """Names of a profile's two arrays."""
+    """The names of a profile's two arrays."""
     return f"touch_{profile}", f"touch_{profile}_components"
 
 
 def pack(models: Mapping[str, TouchModel]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """For JSON, and the arrays."""
+    """Pack touch models as values for JSON and arrays."""
     meta, arrays = {}, {}
     for profile, model in models.items():
         meta[profile] = {
@@ -51,12 +51,12 @@ def pack(models: Mapping[str, TouchModel]) -> tuple[dict[str, Any], dict[str, An
 
 
 def unpack(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> dict[str, TouchModel]:
-    """What `pack` packed.
+    """Unpack what `pack` returned.
 
     Raises
     ------
     ValueError
-        It did not pack that.
+        `pack` did not make it.
     """
     known = msgspec.convert(meta, dict[str, _Model])
     return {

@@ -1,4 +1,4 @@
-"""A recording, reconstructed, in the files of others: each is there whole under its name, or not at all."""
+"""Exports a reconstructed recording to other programs' formats; each file appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tacshade_edge.types import Reconstruction
 
 
 class Export(Protocol):
-    """Gets every frame in order, then `finish` or `discard`; the methods raise DeviceError where the disk fails."""
+    """Takes every frame in order, then `finish` or `discard`; the methods raise DeviceError if the disk fails."""
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Take the next frame."""
+        """Add the next frame."""
 
     def finish(self) -> None:
-        """Put it in its place."""
+        """Complete the export and move it to its final name."""
 
     def discard(self) -> None:
-        """Remove what was begun; after `finish` there is nothing to remove."""
+        """Remove an unfinished export; after `finish` do nothing."""

@@ -15,7 +15,7 @@ from tacshade_edge.types import Reconstruction
 
 
 class CsvExport:
-    """A row for each frame, empty where a value is none; `touch_names` are the quantities of a touch."""
+    """A CSV file with a row per frame and empty cells for missing values; `touch_names` are a touch's quantities."""
 
     def __init__(self, path: Path, touch_names: Sequence[str]) -> None:
         self._touch_names = touch_names
@@ -35,13 +35,13 @@ class CsvExport:
         self._frames += 1
 
     def finish(self) -> None:
-        """Make it whole."""
+        """Complete the file and move it to its final name."""
         with self._place.writing():
             self._stream.close()
             sync(self._place.partial)
         self._place.take()
 
     def discard(self) -> None:
-        """Remove what is not whole."""
+        """Remove the unfinished file."""
         self._stream.close()
         self._place.discard()

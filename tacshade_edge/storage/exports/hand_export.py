@@ -1,4 +1,4 @@
-"""A hand's messages as CSV and as MCAP."""
+"""Exports a hand's messages as CSV and as MCAP."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOTION: Final = (
 
 
 def write_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandObjects]) -> int:
-    """Write a row for each message, empty where a value is none; return how many. Raises as `NewPlace`."""
+    """Write a row per message, empty cells for missing values; return the number of rows. Raises like `NewPlace`."""
     place, rows = NewPlace(path), 0
     try:
         with place.writing(), place.partial.open("w", encoding="utf-8", newline="") as stream:
@@ -45,7 +45,7 @@ def write_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandObjects
 
 
 def write_mcap(path: Path, hand_id: str, messages: Iterable[HandObjects]) -> int:
-    """Write the topic ``/tacshade/hand/ID/objects``; return how many messages. Raises as `NewPlace`."""
+    """Write the topic ``/tacshade/hand/ID/objects``; return the number of messages. Raises like `NewPlace`."""
     from tacshade_edge.storage.recording.mcap.writer import McapWriter  # needs the extra
 
     place, count = NewPlace(path), 0

@@ -1,4 +1,4 @@
-"""A recording as one episode of a LeRobot data set, format v3.0."""
+"""Exports a recording as one episode of a LeRobot data set, format v3.0."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _DATA, _EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/f
 
 
 class LeRobotExport:
-    """A folder that LeRobot's loader takes; see recordings.md for the features. Needs the extra ``lerobot``.
+    """A folder that LeRobot's loader reads; recordings.md lists the features. Needs the extra ``lerobot``.
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ class LeRobotExport:
     Raises
     ------
     ConfigError
-        The extra is missing; from `add`, an image of another size than the first, or not all frames have poses.
+        The extra is missing; from `add`: an image differs in size from the first, or only some frames have poses.
     """
 
     def __init__(self, folder: Path, touch_names: Sequence[str]) -> None:
         try:
             import pyarrow
-            import pyarrow.parquet  # makes it an attribute
+            import pyarrow.parquet  # sets the attribute pyarrow.parquet
         except ImportError as error:
             found = f"found no package {error.name}, which LeRobot's format needs"
             raise ConfigError(f"{found}; to install it: {how_to_install('lerobot')}") from None
@@ -68,7 +68,7 @@ class LeRobotExport:
                 (self._place.partial / name).parent.mkdir(parents=True)
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write a frame, at the latest when there are 64."""
+        """Add a frame; 64 are written at once."""
         frame, name = recorded.frame, recorded.name
         image = frame.image if frame.image.ndim == 3 else np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR))
         self._first_ns = self._first_ns or frame.t_ns
@@ -103,7 +103,7 @@ class LeRobotExport:
             self._write_rows()
 
     def finish(self) -> None:
-        """Make it whole. Raises ConfigError when no frame came."""
+        """Complete the data set and move it to its final name. Raises ConfigError if there was no frame."""
         if not self._features:
             raise ConfigError(f"{self._place.path}: found no frame, expected at least one")
         self._write_rows()
@@ -115,7 +115,7 @@ class LeRobotExport:
         self._place.take()
 
     def discard(self) -> None:
-        """Remove what is not whole."""
+        """Remove the unfinished folder."""
         if self._writer is not None:
             self._writer.close()
         self._place.discard()
@@ -135,7 +135,7 @@ class LeRobotExport:
         image_type = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
         columns = {IMAGE: pa.array([row[IMAGE] for row in rows], image_type)}
         columns |= {key: _column(pa, value) for key, value in values.items()}
-        # Without it the loader of a file alone takes pictures for pairs of bytes and a path.
+        # Without it, loading this file alone gives images as pairs of bytes and a path.
         described = json.dumps({"info": {"features": {key: _arrow_feature(self._features[key]) for key in columns}}})
         table = pa.table(columns).replace_schema_metadata({"huggingface": described})
         with self._place.writing():
@@ -165,7 +165,7 @@ class LeRobotExport:
         stats = {key: spread.summary(frames, per_pixel=key == IMAGE) for key, spread in self._stats.items()}
         for name, document in (("info.json", info), ("stats.json", stats)):
             (meta / name).write_text(json.dumps(document, indent=4) + "\n", encoding="utf-8")
-        # LeRobot looks a task up by its name, as pandas stores an index.
+        # LeRobot looks up a task by its name, in the form in which pandas stores an index.
         column = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
         index = {"name": None, "field_name": "__index_level_0__", "pandas_type": "unicode", "numpy_type": "object"}
         columns = [{**described, "metadata": None} for described in (column, index)]
@@ -189,7 +189,7 @@ class LeRobotExport:
 
 
 class _Spread:
-    """Least, greatest, mean and standard deviation along the first axis, of what comes part by part."""
+    """The minimum, maximum, mean and standard deviation along the first axis of data that arrives in parts."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -199,7 +199,7 @@ class _Spread:
         self._squares: Any = 0.0
 
     def add(self, values: npt.NDArray[np.generic]) -> None:
-        """More, of shape (n, ...). Chan, Golub and LeVeque's update, which loses no digits to great means."""
+        """Add values (n, ...) by Chan, Golub and LeVeque's update, which keeps its precision for large means."""
         part = values.astype(np.float64)
         count, mean = len(part), part.mean(axis=0)
         total, apart = self._count + count, mean - self._mean
@@ -208,7 +208,7 @@ class _Spread:
         self._least, self._greatest = np.minimum(self._least, part.min(axis=0)), np.maximum(self._greatest, part.max(0))
 
     def summary(self, frames: int, *, per_pixel: bool) -> dict[str, Any]:
-        """As LeRobot has it; of an image for each channel, of shape (3, 1, 1)."""
+        """The statistics in LeRobot's form; for an image one value per channel, of shape (3, 1, 1)."""
         std = np.sqrt(self._squares / self._count)
         found = {"min": self._least, "max": self._greatest, "mean": self._mean, "std": std}
         shaped = {key: value.reshape(3, 1, 1) if per_pixel else value for key, value in found.items()}
@@ -216,7 +216,7 @@ class _Spread:
 
 
 def _features(image: U8, row: dict[str, Any], touch_names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """What LeRobot calls them; a name for each value where they have names."""
+    """LeRobot's description of the features, with a name for each value that has one."""
     named = {CONTACT: list(CONTACT_NAMES), STATE: list(POSE_COLUMNS), TIME: None, HEIGHT: ["row", "col"]}
     named |= {key: list(touch_names) for key in (TOUCH, TOUCH_SIGMA)}
     features: dict[str, dict[str, Any]] = {}
@@ -227,7 +227,7 @@ def _features(image: U8, row: dict[str, Any], touch_names: Sequence[str]) -> dic
 
 
 def _arrow_feature(feature: dict[str, Any]) -> dict[str, Any]:
-    """As the library `datasets` has it, which LeRobot reads Parquet with."""
+    """A feature as described by the library `datasets`, with which LeRobot reads Parquet."""
     shape, value = feature["shape"], {"dtype": feature["dtype"], "_type": "Value"}
     if feature["dtype"] == "image":
         return {"_type": "Image"}
@@ -237,12 +237,12 @@ def _arrow_feature(feature: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rate(times_ns: list[int]) -> int:
-    """The median one, in whole frames a second as LeRobot has it."""
+    """The median frame rate in frames per second, rounded to an integer, as LeRobot expects."""
     return max(1, round(1e9 / float(np.median(np.diff(times_ns))))) if len(times_ns) > 1 else 1
 
 
 def _column(pa: Any, values: npt.NDArray[np.generic]) -> Any:
-    """An array of (n,), (n, 1) as numbers, of (n, a) as lists, of (n, a, b) as lists of lists."""
+    """An Arrow column: arrays (n,) and (n, 1) become numbers, (n, a) lists, (n, a, b) lists of lists."""
     column = pa.array(values.ravel())
     for size in reversed(values.shape[1:] if values.shape[1:] != (1,) else ()):
         column = pa.FixedSizeListArray.from_arrays(column, size)

@@ -1,4 +1,4 @@
-"""Frames, results and what lies beside them as one MCAP file that Foxglove, Lichtblick and Rerun open."""
+"""Exports frames, results and a recording's other files as one MCAP file for Foxglove, Lichtblick and Rerun."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from tacshade_edge.version import installed_version
 
 
 class McapExport:
-    """One file: see docs/how-to/recordings.md for its topics.
+    """One MCAP file; docs/how-to/recordings.md lists its topics.
 
     Parameters
     ----------
     path : Path
     sensor_id : str
     calibration : Calibration
-        That of the results.
+        Calibration that gave the results.
     profile : str
     content : mapping of str to bytes
-        What lies beside the frames (`recording_content`); becomes attachments, its events lines of the log.
+        The recording's other files (`recording_content`); they become attachments, and the events also log lines.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class McapExport:
         self._wall_minus_t_ns = 0
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write a frame and its results, and the events before it."""
+        """Write the events before a frame, the frame and its results."""
         frame, wall_ns, ident = recorded.frame, recorded.wall_ns, self._sensor_id
         self._wall_minus_t_ns = wall_ns - frame.t_ns
         with self._place.writing():
@@ -69,7 +69,7 @@ class McapExport:
             self._writer.write("touch", encode_touch(replace(result, wall_ns=wall_ns)), wall_ns, frame.seq)
 
     def finish(self) -> None:
-        """Make it whole."""
+        """Complete the file and move it to its final name."""
         with self._place.writing():
             for event in self._events:
                 self._log(event)
@@ -79,7 +79,7 @@ class McapExport:
         self._place.take()
 
     def discard(self) -> None:
-        """Remove what is not whole."""
+        """Remove the unfinished file."""
         self._stream.close()
         self._place.discard()
 

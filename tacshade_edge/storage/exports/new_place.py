@@ -1,4 +1,4 @@
-"""Where an export grows until it is whole: a file or a folder beside its place."""
+"""The temporary file or folder in which an export grows until it is complete."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.storage.atomic_files import disk_errors, part, require_free, 
 
 
 class NewPlace:
-    """A name that is free, and its ``.part``, which is removed where an earlier one was left.
+    """An unused name and its ``.part``; a leftover ``.part`` is removed.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class NewPlace:
     Raises
     ------
     ConfigError
-        Something is there.
+        The name exists already.
     DeviceError
-        The disk is down to the floor, or cannot be written.
+        The disk is nearly full (`require_free`), or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,7 +44,7 @@ class NewPlace:
             yield
 
     def take(self) -> None:
-        """Rename."""
+        """Rename the ``.part`` to the final name."""
         with self.writing():
             self.partial.rename(self.path)
             sync(self.path.parent)

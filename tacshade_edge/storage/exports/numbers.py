@@ -1,4 +1,4 @@
-"""What of a result is a number: the keys of ``contact`` and a few more, flat."""
+"""The numbers of a result: the keys of ``contact`` and a few more, flat."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ POSE_COLUMNS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
 def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    """As ``contact`` of docs/reference/mqtt/frames.md, without ``fps``, which only a daemon has."""
+    """The fields of ``contact`` (docs/reference/mqtt/frames.md) without ``fps``, which only a daemon knows."""
     numbers: dict[str, Any] = json.loads(encode_contact(result, fps=0.0))
     del numbers["fps"]
-    numbers["wall_ns"] = recorded.wall_ns  # results of a recording have none, so that equal ones give equal bytes
+    numbers["wall_ns"] = recorded.wall_ns  # a recording's results have none, so that equal recordings give equal bytes
     return numbers
 
 
 def touch_numbers(result: Reconstruction, names: Sequence[str]) -> tuple[list[float | None], list[float | None]]:
-    """Each of these quantities of the touch, and its standard deviation; None where it is not known."""
+    """The named quantities of the touch, and their standard deviations; None if unknown."""
     fields = touch_fields(result.touch)
     values, sigmas = ([(fields[key] or {}).get(name) for name in names] for key in ("touch", "touch_sigma"))
     return values, sigmas
 
 
 def frame_numbers(recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]) -> dict[str, Any]:
-    """A row of a table: image, times, the numbers of contact and touch, ``base_T_flange``; None where there is none."""
+    """A table row: image, times, the numbers of contact and touch, ``base_T_flange``; None for a missing value."""
     values, sigmas = touch_numbers(result, touch_names)
     frame = recorded.frame
     pose = frame.pose

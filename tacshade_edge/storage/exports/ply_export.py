@@ -1,4 +1,4 @@
-"""The cloud of every frame in contact as a PLY file."""
+"""Exports the cloud of every frame in contact as a PLY file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tacshade_edge.types import Reconstruction
 
 
 class PlyExport:
-    """A folder of ``SEQ.ply``: points of the contacted skin in mm, sensor frame, with the number of their object."""
+    """A folder of ``SEQ.ply`` files: points of the skin in contact in mm, sensor frame, with their object's number."""
 
     def __init__(self, folder: Path) -> None:
         self._place = NewPlace(folder)
@@ -20,7 +20,7 @@ class PlyExport:
             self._place.partial.mkdir()
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write the cloud of a contact."""
+        """Write the cloud of a frame in contact."""
         if not result.contact:
             return
         comment = f"millimetres, sensor frame, t_ns {result.t_ns}"
@@ -29,12 +29,12 @@ class PlyExport:
             path.write_bytes(ply(result.cloud.points_mm, comment, result.cloud.labels))
 
     def finish(self) -> None:
-        """Make it whole."""
+        """Complete the folder and move it to its final name."""
         with self._place.writing():
             for path in self._place.partial.iterdir():
                 sync(path)
         self._place.take()
 
     def discard(self) -> None:
-        """Remove what is not whole."""
+        """Remove the unfinished folder."""
         self._place.discard()

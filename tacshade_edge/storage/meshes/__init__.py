@@ -1,1 +1,1 @@
-"""Points and triangles: PLY, STL."""
+"""Points and triangles as PLY and STL files."""

@@ -8,20 +8,20 @@ from tacshade_edge.types import F32, F64, U16
 
 
 def ply(points_mm: F32 | F64, comment: str, labels: U16 | None = None) -> bytes:
-    """A file of points in mm, x, y, z as float, with the number of its object as ``object`` where `labels` give it.
+    """A PLY file of points in mm: x, y, z as float and, with `labels`, the number of the point's ``object``.
 
     Parameters
     ----------
     points_mm : float32 or float64 (N, 3)
     comment : str
-        One line: which frame of reference.
+        One line that names the frame of reference.
     labels : uint16 (N,), optional
     """
     return head(len(points_mm), comment, labelled=labels is not None) + rows(points_mm, labels)
 
 
 def head(count: int, comment: str, *, labelled: bool = False) -> bytes:
-    """What a file of so many points begins with; `rows` follow, in one part or several."""
+    """The header of a file of `count` points; `rows` follow, in one part or several."""
     names = [f"float {axis}" for axis in "xyz"] + ["ushort object"] * labelled
     properties = "".join(f"property {name}\n" for name in names)
     begin = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {count}\n"
@@ -29,7 +29,7 @@ def head(count: int, comment: str, *, labelled: bool = False) -> bytes:
 
 
 def rows(points_mm: F32 | F64, labels: U16 | None = None) -> bytes:
-    """The points of a file, or of a part of one."""
+    """The bytes of a file's points, or of some of them."""
     made = np.empty(len(points_mm), [(axis, "<f4") for axis in "xyz"] + [("object", "<u2")] * (labels is not None))
     for axis, values in zip("xyz", np.asarray(points_mm, np.float32).reshape(-1, 3).T, strict=True):
         made[axis] = values

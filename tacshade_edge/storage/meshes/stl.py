@@ -1,4 +1,4 @@
-"""STL files, ascii and binary: the triangles of a surface.
+"""STL files, ASCII and binary: the triangles of a surface.
 
 References
 ----------
@@ -19,14 +19,14 @@ from tacshade_edge.types import F64
 
 MAX_TRIANGLES = 200_000
 _HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
-# An ascii triangle takes about 270 bytes.
+# An ASCII triangle takes about 270 bytes.
 _LINE_BYTES = 256
 _MAX_BYTES = MAX_TRIANGLES * 400
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def read_stl(path: Path) -> F64:
-    """Read the corners of all triangles; normals are not looked at.
+    """Read the corners of all triangles; normals are ignored.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def read_stl(path: Path) -> F64:
     Raises
     ------
     DecodeError
-        Not readable, no STL file, no triangle or too many of them, or a corner that is no number.
+        The file is unreadable, not STL, has no triangle or too many, or a corner that is not a number.
     """
     try:
         data = read_regular(path, _MAX_BYTES)
@@ -44,7 +44,7 @@ def read_stl(path: Path) -> F64:
         expected = f"expected an STL file of at most {MAX_TRIANGLES} triangles"
         raise DecodeError(f"{shown(path)}: {error.strerror or error}, {expected}") from None
     count = int.from_bytes(data[80:84], "little")
-    # A binary file may begin with "solid" too: its length shows which.
+    # A binary file may begin with "solid" too, but its length gives it away.
     if len(data) >= _HEAD_BYTES and len(data) == _HEAD_BYTES + count * _TRIANGLE_BYTES:
         corners = np.frombuffer(data, _TRIANGLE, offset=_HEAD_BYTES)["corners"].astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid":
@@ -59,7 +59,7 @@ def read_stl(path: Path) -> F64:
 
 
 def stl_bytes(triangles_mm: F64) -> bytes:
-    """Make a binary file of triangles (N, 3, 3), counter-clockwise as seen from outside."""
+    """The binary STL file of triangles (N, 3, 3) in mm, counter-clockwise as seen from outside."""
     a, b, c = np.moveaxis(triangles_mm, 1, 0)
     normal = np.cross(b - a, c - a)
     rows = np.zeros(len(triangles_mm), _TRIANGLE)

@@ -1,1 +1,1 @@
-"""Pictures for a person, with axes and colours."""
+"""Pictures for people, with axes and colours."""

@@ -1,4 +1,4 @@
-"""Axes and a colour bar about a picture, without a plotting library: a board has none."""
+"""Draws axes and a colour bar around a picture without a plotting library, which boards lack."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from tacshade_edge.types import U8
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_PX = 78
 _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
-_LABEL_EVERY_PX = 46  # at least, between ticks
+_LABEL_EVERY_PX = 46  # least distance between ticks
 _BLACK = (0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What the pixels of a picture are along one of its sides.
+    """The scale along one side of a picture.
 
     Attributes
     ----------
     label : str
         With the unit; ASCII.
     first, per_px : float
-        The value at the middle of pixel 0, and how much it grows from one to the next.
+        The value at the middle of pixel 0, and its increase per pixel.
     """
 
     label: str
@@ -35,7 +35,7 @@ class Axis:
 
 
 def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
-    """Round values along an axis, each with its place in px."""
+    """Round values along an axis, each with its position in px."""
     step = _round_step(_LABEL_EVERY_PX * axis.per_px)
     last = axis.first + (length_px - 1) * axis.per_px
     values = [k * step for k in range(math.ceil(axis.first / step), math.floor(last / step) + 1)]
@@ -43,7 +43,7 @@ def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
 
 
 def framed(picture: U8, x: Axis, y: Axis) -> U8:
-    """The picture, uint8 (H, W, 3) BGR, on white with its two axes; row `TOP_PX`, column `LEFT_PX` is its corner."""
+    """The picture, uint8 (H, W, 3) BGR, on white with two axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
     rows, cols = picture.shape[:2]
     paper = np.full((TOP_PX + rows + BOTTOM_PX, LEFT_PX + cols + RIGHT_PX, 3), 255, np.uint8)
     paper[TOP_PX : TOP_PX + rows, LEFT_PX : LEFT_PX + cols] = picture
@@ -60,7 +60,7 @@ def framed(picture: U8, x: Axis, y: Axis) -> U8:
 
 
 def colour_bar(colours: int, height_px: int, top: float, label: str) -> U8:
-    """A bar of an OpenCV colour map from 0 to `top`, as high as `framed` makes a picture of `height_px` rows."""
+    """A bar of an OpenCV colour map from 0 to `top`, as high as a picture of `height_px` rows after `framed`."""
     paper = np.full((TOP_PX + height_px + BOTTOM_PX, BAR_PX, 3), 255, np.uint8)
     levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(12, axis=1)
     paper[TOP_PX : TOP_PX + height_px, 4:16] = cv2.applyColorMap(levels, colours)
@@ -83,7 +83,7 @@ def _vertical(paper: U8, axis: Axis, length_px: int, col: int, direction: int) -
 
 
 def _round_step(least: float) -> float:
-    """1, 2 or 5 times a power of ten, not below `least`."""
+    """The least step of 1, 2 or 5 times a power of ten that is not below `least`."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least)
 

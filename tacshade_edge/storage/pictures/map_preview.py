@@ -1,4 +1,4 @@
-"""A stitched map as a picture for a person, with axes."""
+"""A stitched map as a picture for people, with axes."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.types import F32, U8
 
-PREVIEW_PX = 900  # of the map's longer side, at most
+PREVIEW_PX = 900  # greatest length of the map's longer side
 _LEGEND_PX = 24
 _AXIS_PX = 24
 MARGIN_PX = 48  # left of the map, for the numbers of y
 _TICK_PX = 6
-_TICKS = 5  # about so many along the longer side
+_TICKS = 5  # approximate number along the longer side
 _UNTOUCHED_GREY = 225
 
 
 def preview(raster: Raster) -> U8:
-    """The map as seen from above, y upwards: heights in colours, grey where nothing was touched; x and y in mm."""
+    """The map seen from above, y upwards: heights in colours, grey where nothing was touched; x and y in mm."""
     low, high = height_span_mm(raster.z_mm)
     rows, cols = raster.z_mm.shape
-    stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))  # of a large map some cells are enough
+    stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))  # a subset of cells is enough for a large map
     z = raster.z_mm[::stride, ::stride]
     level = np.nan_to_num(np.clip((z - low) / max(high - low, 0.1) * 255, 0, 255)).astype(np.uint8)
     picture = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), np.uint8)
@@ -44,20 +44,20 @@ def preview(raster: Raster) -> U8:
 
 
 def tick_step_mm(span_mm: float) -> float:
-    """1, 2 or 5 times a power of ten, about a fifth of the span."""
+    """A step in mm of 1, 2 or 5 times a power of ten, about a fifth of the span."""
     raw_mm = span_mm / _TICKS
     decade_mm = 10.0 ** math.floor(math.log10(raw_mm) + 1e-9)
     return decade_mm * next(factor for factor in (1, 2, 5, 10) if raw_mm <= factor * decade_mm * (1 + 1e-9))
 
 
 def height_span_mm(z_mm: F32) -> tuple[float, float]:
-    """The least and the greatest height, mm; zeros where nothing was touched."""
+    """The least and the greatest height in mm; zeros if nothing was touched."""
     low, high = float(np.fmin.reduce(z_mm, axis=None)), float(np.fmax.reduce(z_mm, axis=None))
     return (low, high) if math.isfinite(low) else (0.0, 0.0)
 
 
 def _draw_axes(framed: U8, raster: Raster, height_px: int, width_px: int) -> None:
-    """Ticks with numbers below the picture and on its left; a cell's place is its middle."""
+    """Draw ticks with numbers below the picture and on its left; a cell's position is its middle."""
     rows, cols = raster.z_mm.shape
     step_mm = tick_step_mm(max(rows, cols) * raster.step_mm)
     decimals = max(0, -math.floor(math.log10(step_mm) + 1e-9))

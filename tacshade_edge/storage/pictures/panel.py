@@ -1,4 +1,4 @@
-"""A picture of one reconstruction for a person: the image, the height in colours, the contact's outline."""
+"""A picture of one reconstruction for people: the image, the height in colours, the contact's outline."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COLOURS = cv2.COLORMAP_VIRIDIS
 
 
 def write_panel(path: Path, image: U8, result: Reconstruction, geometry: Geometry) -> None:
-    """Write image and height map side by side, each with its axes.
+    """Write the image and the height map side by side, each with axes.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def write_panel(path: Path, image: U8, result: Reconstruction, geometry: Geometr
 def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     """The picture, uint8 (rows, cols, 3) BGR: the image with axes in px, the height in mm with axes and a colour bar.
 
-    The mm of the axes are those of the plane of the visible circle (`Geometry.mm_per_px`), from its centre.
+    The axes measure mm in the plane of the visible circle (`Geometry.mm_per_px`), from its centre.
     """
     left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     rows, cols = left.shape[:2]
@@ -67,6 +67,6 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
 
 
 def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
-    """Values at a map's cells, where they lie in an image of that width and height; 0 beyond the map."""
+    """The values of a map's cells resampled to an image of `size` (width, height); 0 outside the map."""
     to_cell = np.array(((1, 0, -grid.col0), (0, 1, -grid.row0))) / grid.step_px
     return np.asarray(cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8)

@@ -1,1 +1,1 @@
-"""Recordings: written, read, as PNG files or as MCAP."""
+"""Writes and reads recordings, as PNG files or as MCAP."""

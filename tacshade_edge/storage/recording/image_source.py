@@ -22,25 +22,25 @@ from tacshade_edge.types import U8, Frame
 _log = logging.getLogger(__name__)
 _Picture = Path | U8 | Callable[[], U8]
 
-# OpenCV hands this to FFmpeg, and has no other way. Left to itself FFmpeg also takes playlists, which name files and
-# addresses of others.
+# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens playlists, which can name
+# any file or address.
 _FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
 
 
 class FilesSource:
-    """A `FrameSource` of a folder of images, one image, a video file, or an MCAP file.
+    """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file.
 
-    A folder's images come in the order of its table (`frame_table`) with the poses that it has, or of their names; an
-    MCAP file's in its order, with its poses.
+    A folder's images come in the order of its table (`frame_table`), with its poses, or else of their names; an MCAP
+    file's images come in its order, with its poses.
 
     Parameters
     ----------
     path : Path
     fps : float
-        Frames per second; a reader that is late gets the next frame at once, never a burst.
+        Frames per second; a late reader gets the next frame at once, but never a burst.
     loop : bool
-        Begin again after the last.
+        Begin again after the last frame.
     """
 
     def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
@@ -61,7 +61,7 @@ class FilesSource:
         return 0
 
     def open(self) -> None:
-        """Find the files. Raises ConfigError when there is nothing to show, or the table is wrong."""
+        """Find the files. Raises ConfigError if there is no image, or the table is wrong."""
         self.close()
         if not is_mcap(self._path):
             self._images, self._video = look_at(self._path)
@@ -77,7 +77,7 @@ class FilesSource:
         Raises
         ------
         DecodeError
-            This image cannot be used; the next call goes on with the next.
+            This image is unusable; the next call continues with the next one.
         """
         if (entry := self._next_due()) is None:
             return None
@@ -90,13 +90,13 @@ class FilesSource:
         return replace(frame, pose=replace(row.pose, t_ns=t_ns), pose_error_us=row.pose_error_us)
 
     def skip(self) -> bool:
-        """Wait until the next frame is due, and do not decode it; False after the last."""
+        """Wait until the next frame is due but do not decode it; return False after the last."""
         entry = self._next_due()
         self._seq += entry is not None
         return entry is not None
 
     def _next_due(self) -> tuple[_Picture, Row | None] | None:
-        """The next picture, when it is due, and its row of the table; None after the last."""
+        """Wait until the next picture is due; return it with its row of the table, or None after the last."""
         if (entry := next(self._items, None)) is None:
             return None
         late_ns = time.monotonic_ns() - self._due_ns
@@ -114,7 +114,7 @@ class FilesSource:
         self._video, self._images, self._rows, self._items = None, [], None, iter(())
 
     def describe(self) -> dict[str, str | int | float]:
-        """Path, pace, and the number of images."""
+        """The path, the frame rate, and the number of images if known."""
         about: dict[str, str | int | float] = {"path": str(self._path), "fps": self._fps}
         images = len(self._images if self._rows is None else self._rows)
         return about | ({"images": images} if images else {})
@@ -153,12 +153,12 @@ class FilesSource:
 
 
 def first_size_px(path: Path) -> tuple[int, int] | None:
-    """Width and height of the first image; None when it cannot be decoded.
+    """The width and height of the first image in px; None if it cannot be decoded.
 
     Raises
     ------
     ConfigError
-        There is nothing to show, or the table is wrong.
+        There is no image, or the table is wrong.
     """
     if is_mcap(path):
         return _first_size_of_mcap(path)
@@ -191,7 +191,7 @@ def _rows(path: Path) -> FrameTable | None:
 
 
 def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
-    """The images of a folder, the one image, or the opened video. Raises ConfigError."""
+    """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
         images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
         if not images:

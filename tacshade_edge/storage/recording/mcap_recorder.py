@@ -1,4 +1,4 @@
-"""Writes a recording whose frames are in MCAP files; all else of its folder is as `recorder` has it."""
+"""Writes a recording with its frames in MCAP files and all other files as `recorder` writes them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 FILE_BYTES_MAX: Final = 512 << 20
 FILE_NS_MAX: Final = 300 * 1_000_000_000
-"""Of one file; its index is in memory until its end, 0.7 kB for a frame."""
+"""Limits of one file, because its index stays in memory until its end, at 0.7 kB per frame."""
 _CHUNK_BYTES: Final = 16 << 10
-"""A chunk ends when it has more, so a picture ends one: a cut costs a frame or two."""
+"""A chunk ends when it exceeds this size, as any picture does, so truncation loses only a frame or two."""
 
 
 class McapRecorder(Recorder):
-    """One recording in one new folder, in ``000.mcap``, ``001.mcap`` ...; each opens alone, and grows as ``.part``.
+    """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...; each is readable alone and grows as ``.part``.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ class McapRecorder(Recorder):
         self._path = folder
 
     def _begin_frames(self) -> None:
-        """No table: the files have the times and poses."""
+        """Write no table: the MCAP files hold the times and poses."""
 
     def add(self, frame: Frame, png: bytes) -> bool:
-        """Write a frame, whose image is the `png`; False, and nothing written, when the disk is down to the floor."""
+        """Write a frame with its image `png`; write nothing and return False if the disk is down to the floor."""
         with disk_errors(self.folder):
             if shutil.disk_usage(self.folder).free < self._floor:
                 return False
@@ -72,26 +72,26 @@ class McapRecorder(Recorder):
         return True
 
     def sync(self) -> None:
-        """Wait until the disk has all that was written."""
+        """Wait until everything written is on the disk."""
         super().sync()
         if self._open is not None and not self._torn:
             with disk_errors(self.folder):
                 os.fsync(self._open[0].fileno())
 
     def finish(self, about: Mapping[str, object]) -> None:
-        """Make the recording whole, with ``recording.json``."""
+        """Complete the recording and write ``recording.json``."""
         with disk_errors(self.folder):
             self._end_file()
         super().finish(about)
 
     def close(self) -> None:
-        """Give up the open files."""
+        """Close the files of an unfinished recording."""
         super().close()
         if self._open is not None:
             self._leave_torn(self._open[0])
 
     def _file_for(self, frame: Frame) -> tuple[BinaryIO, McapWriter]:
-        """The file that this frame goes to, the next one where the last is full."""
+        """The file for this frame: the open one, or a new one if that is full."""
         if self._open is not None and (
             self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
         ):
@@ -105,7 +105,7 @@ class McapRecorder(Recorder):
         self._files += 1
         self._begun_ns = frame.t_ns
         stream = part(self._path).open("wb")
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody fixes it meanwhile
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # keeps `fix` away from it
         writer = self._make(stream)
         for name in (CALIBRATION_NAME, SETTINGS_NAME):
             writer.attach(name, (self.folder / name).read_bytes(), frame.wall_ns)
@@ -129,7 +129,7 @@ class McapRecorder(Recorder):
         self._open = None
 
     def _leave_torn(self, stream: BinaryIO) -> None:
-        """A record that was not written whole must be the last thing in its file."""
-        with contextlib.suppress(OSError):  # what is buffered cannot be written either
+        """Close a file after an incomplete record, which must stay the last one in it."""
+        with contextlib.suppress(OSError):  # flushing the buffer may fail, too
             stream.close()
         self._open = None

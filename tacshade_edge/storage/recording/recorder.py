@@ -1,4 +1,4 @@
-"""Writes a recording that `storage.recording.recording` reads: PNG frames, their table, events, and what made them."""
+"""Writes a recording for `storage.recording.recording`: PNG frames, their table, events, settings and calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tacshade_edge.storage.tables.frame_table import HEADER, MORE, TABLE_NAME
 from tacshade_edge.storage.tables.tables import line_crc32
 from tacshade_edge.types import U8, Calibration, Frame
 
-# Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/how-to/replay.md).
+# Lossless; for grey images 2.5 times as fast as zlib's level 1 and no larger (docs/how-to/replay.md).
 PNG_OPTIONS = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
@@ -29,30 +29,30 @@ PNG_OPTIONS = (
 
 
 def png_of(image: U8) -> bytes:
-    """What `Recorder.add` writes of a frame's image."""
+    """Encode a frame's image as PNG for `Recorder.add`."""
     return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes()
 
 
 class Recorder:
-    """One recording in one new folder.
+    """One recording in a new folder.
 
-    Images and small files are written beside their place and renamed. The table and the events grow as ``.part``,
-    a whole line at a time after what it names, and are renamed by `finish`: after a crash `storage.recording.recording`
-    reads the ``.part``. `begin` comes before all else.
+    Images and small files are written under temporary names and renamed. The table and the events grow as ``.part``, a
+    whole line at a time, after the file that it names, and `finish` renames them; after a crash
+    `storage.recording.recording` reads the ``.part``. Call `begin` first.
 
     Parameters
     ----------
     folder : Path
-        Made now.
+        Created at once.
     free_floor_bytes : int
-        `add` refuses to begin a frame with less than this free on the disk.
+        `add` refuses a frame if the disk has less free space than this.
 
     Raises
     ------
     ConfigError
-        The folder is there already.
+        The folder exists already.
     DeviceError
-        It cannot be written (from the methods too), or the disk is down to the floor.
+        The folder cannot be written (the methods raise it too), or the disk is down to the floor.
     """
 
     def __init__(self, folder: Path, *, free_floor_bytes: int = FREE_FLOOR_BYTES) -> None:
@@ -72,7 +72,7 @@ class Recorder:
                 ) from None
 
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:
-        """Write what a replay needs beside the frames."""
+        """Write the calibration and settings, which a replay needs, and open the events and the table."""
         calibration_file.save(self.folder / CALIBRATION_NAME, calibration)
         with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
@@ -85,7 +85,7 @@ class Recorder:
         self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
 
     def add(self, frame: Frame, png: bytes) -> bool:
-        """Write a frame, whose image is the `png`; False, and nothing written, when the disk is down to the floor."""
+        """Write a frame with its image `png`; write nothing and return False if the disk is down to the floor."""
         with disk_errors(self.folder):
             if shutil.disk_usage(self.folder).free < self._floor:
                 return False
@@ -99,13 +99,13 @@ class Recorder:
         return True
 
     def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Write what happened, on the clock of the frames."""
+        """Write an event; `t_ns` is on the frames' clock."""
         line = json.dumps({"t_ns": t_ns, "kind": kind, "data": data}) + "\n"
         with disk_errors(self.folder):
             self._lines[EVENTS_NAME].write(line.encode())
 
     def sync(self) -> None:
-        """Wait until the disk has all that was written: many frames at once, as each alone would cost too much."""
+        """Wait until everything written is on the disk; syncing each frame alone would cost too much."""
         with disk_errors(self.folder):
             for path in self._unsynced:
                 sync(path)
@@ -115,7 +115,7 @@ class Recorder:
             sync(self.folder)
 
     def finish(self, about: Mapping[str, object]) -> None:
-        """Make the recording whole, with ``recording.json``."""
+        """Complete the recording and write ``recording.json``."""
         self.sync()
         with disk_errors(self.folder):
             for name, stream in self._lines.items():
@@ -125,7 +125,7 @@ class Recorder:
             sync(self.folder)
 
     def close(self) -> None:
-        """Give up the open files; for a recording that could not be finished."""
+        """Close the files of an unfinished recording."""
         for stream in self._lines.values():
             stream.close()
 

@@ -1,6 +1,6 @@
-"""A recording: images, a video or an MCAP file with their own time stamps, read frame by frame and never dropped.
+"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame and drops none.
 
-The table beside images and videos is ``frames.csv`` in a folder, and ``NAME.csv`` beside a video ``NAME.mp4``.
+The table of a folder of images is ``frames.csv`` in it; that of a video ``NAME.mp4`` is ``NAME.csv`` next to it.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from tacshade_edge.types import U8, Frame
 
 DEFAULT_FPS = 30.0
 Picture = Path | U8 | Callable[[], U8]
-"""Read when its turn comes."""
+"""An image, or the file or function that gives it when its turn comes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedFrame:
-    """A frame with the name of its image (of a video or an MCAP file: the frame's number).
+    """A frame with the name of its image (or its number in a video or an MCAP file).
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class RecordedFrame:
     frame : Frame
         Its `wall_ns` is 0, so that equal recordings give equal bytes.
     wall_ns : int
-        Unix time of the capture; the frame's `t_ns` where the recording does not know it.
+        Unix time of the capture, or the frame's `t_ns` if the recording does not state it.
     """
 
     name: str
@@ -46,7 +46,7 @@ class RecordedFrame:
 
 
 class Recording:
-    """A folder of images, one image, a video file, in the order and at the times of its table, or an MCAP file.
+    """A folder of images, one image or a video in the order and at the times of its table, or an MCAP file.
 
     Reading MCAP needs the extra ``mcap``.
 
@@ -54,23 +54,23 @@ class Recording:
     ----------
     path : Path
     fps : float or None
-        Makes the time stamps (from 0) where no table is, 30 by default; refused where one is.
+        Frame rate of the time stamps (from 0) without a table, 30 by default; refused with a table.
     times : int
-        How often it is gone through; 0 is for ever. Time stamps and numbers go on growing.
+        Number of passes; 0 repeats endlessly. Time stamps and numbers keep growing.
 
     Attributes
     ----------
     cut_off : bool
-        Its writer died: what it wrote until then is here.
+        The writer crashed; everything it wrote before is included.
     damage : str
-        What is left out of its table, or wrong in an MCAP file beside the frames, for a person; empty where nothing is.
+        Lines left out of the table, or damage to an MCAP file outside its frames, for a person; empty without any.
     frames : int or None
-        How many `read` will give at most, in all passes; None where only the end shows it.
+        Greatest number of frames that `read` returns in all passes; None if unknown before the end.
 
     Raises
     ------
     ConfigError
-        Nothing to replay, or a wrong table.
+        There is nothing to replay, or the table is wrong.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None, times: int = 1) -> None:
@@ -107,7 +107,7 @@ class Recording:
         Raises
         ------
         DecodeError
-            This image cannot be used; the next call goes on with the next, and its number is left out.
+            This image is unusable; its number is left out, and the next call continues with the next image.
         ConfigError
             The table has more or fewer rows than the video has frames.
         """
@@ -123,7 +123,7 @@ class Recording:
 
     @property
     def length_ns(self) -> int:
-        """From the first frame of a pass to its last; 0 where nothing states it: a video, MCAP that was cut off."""
+        """The time from a pass's first frame to its last; 0 if unknown, as for a video or truncated MCAP file."""
         if self._mcap is not None:
             return self._mcap.length_ns
         if self._rows is not None:
@@ -134,14 +134,14 @@ class Recording:
         return round(max(len(images) - 1, 0) * self._period_ns)
 
     def skip_to(self, t_ns: int) -> None:
-        """Leave out the frames before this time; of a folder their images are not read."""
+        """Skip the frames before this time; in a folder their images are not read."""
         for entry in self._entries:
             if entry[1][0].t_ns >= t_ns:
                 self._entries = itertools.chain((entry,), self._entries)
                 return
 
     def skip_to_before(self, t_ns: int, frames: int) -> None:
-        """Leave out the frames before the last so many that are before this time."""
+        """Skip the frames before this time except the last `frames` of them."""
         before: deque[tuple[int, tuple[Row, Picture, int]]] = deque(maxlen=frames)
         for entry in self._entries:
             if entry[1][0].t_ns >= t_ns:
@@ -211,5 +211,5 @@ def _table_beside(path: Path) -> Path | None:
         table = path
     if table != path and table.exists():
         return table
-    look_at(path)  # says what is wrong with it
+    look_at(path)  # raises ConfigError if the path is unusable
     return None

@@ -1,4 +1,4 @@
-"""What lies beside the frames of a recording: in its folder, or as attachments in its MCAP file."""
+"""A recording's content other than frames: files in its folder, or attachments in its MCAP file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LINE_BYTES_MAX: Final = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, on the clock of the frames."""
+    """A recorded event; `t_ns` is on the frames' clock."""
 
     t_ns: int
     kind: str
@@ -35,14 +35,14 @@ class Event:
 
 
 def content_of(recording: Path) -> dict[str, bytes]:
-    """Calibration, settings, events and ``recording.json``: those that are there, by name.
+    """The calibration, settings, events and ``recording.json`` by name, as far as they exist.
 
-    The log reports what is left out of an MCAP file because it is damaged, or too large.
+    The log reports damaged or too large attachments of an MCAP file, which are left out.
 
     Raises
     ------
     ConfigError
-        An MCAP file that is none; a file that is too large.
+        An MCAP file is not MCAP, or a file is too large.
     """
     if not recording.is_dir() and is_mcap(recording):
         require_mcap()
@@ -58,7 +58,7 @@ def content_of(recording: Path) -> dict[str, bytes]:
 
 
 def events_in(content: dict[str, bytes]) -> Iterator[Event]:
-    """The events in order; a line that is none is passed over."""
+    """The events in order; lines that are not events are skipped."""
     for line in content.get(EVENTS_NAME, b"").splitlines():
         if len(line) > _LINE_BYTES_MAX:
             continue
@@ -72,7 +72,7 @@ def events_in(content: dict[str, bytes]) -> Iterator[Event]:
 
 
 def wall_minus_t_ns(folder: Path) -> int:
-    """Unix time minus the clock of the frames; 0 where nothing states it."""
+    """Unix time minus the frames' clock in ns; 0 if the recording does not state it."""
     content = {name: data for name in (ABOUT_NAME, EVENTS_NAME) if (data := _read(folder / name)) is not None}
     try:
         about = json.loads(content.get(ABOUT_NAME, b"{}"))

@@ -1,1 +1,1 @@
-"""What `reconstruct` and `replay` leave, and two runs compared."""
+"""The files that `reconstruct` and `replay` write, and the comparison of two runs."""

@@ -1,4 +1,4 @@
-"""Two runs of `replay`, frame by frame: the first difference in words, and how far they are apart in all."""
+"""Compares two runs of `replay` frame by frame: the first difference in words, and figures over all frames."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.Sigm
 
 
 def first_difference(folder: Path, against: Path) -> str:
-    """Which frame, which field, how much; empty when the runs are the same bytes.
+    """The frame, field and size of the first difference, as a line; empty if the runs are the same bytes.
 
     Raises
     ------
     ConfigError
-        One of the folders has no whole run.
+        One of the folders has no complete run.
     DecodeError
         One of the runs is damaged.
     """
@@ -49,12 +49,12 @@ def first_difference(folder: Path, against: Path) -> str:
 
 
 def figures(folder: Path, against: Path) -> list[str]:
-    """How far depth and contact are apart over the frames that both runs have: mean, worst, and where; a line each.
+    """Differences in contact, depth and height over the common frames: mean, worst and its place, one line each.
 
     Raises
     ------
     ConfigError
-        One of the folders has no whole run.
+        One of the folders has no complete run.
     DecodeError
         One of the runs is damaged.
     """
@@ -74,7 +74,7 @@ def figures(folder: Path, against: Path) -> list[str]:
 
 
 def _height_figures(folder: Path, against: Path, places: list[str]) -> str:
-    """The same of every cell of the height maps."""
+    """The line on the differences between the height maps' cells."""
     total_mm, cells, worst_mm, where = 0.0, 0, -1.0, ""
     for place, *pair in zip(places, payloads(folder, HEIGHTS), payloads(against, HEIGHTS), strict=False):
         one, two = (wire.decode(payload) for payload in pair)

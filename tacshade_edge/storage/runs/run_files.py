@@ -1,8 +1,8 @@
-"""What a replay leaves in its folder, frame by frame; docs/how-to/replay.md is the format.
+"""The files of a run, written frame by frame; docs/how-to/replay.md describes the format.
 
-``heights.bin`` and ``clouds.bin`` are the wire payloads one after another (each header holds its length);
-``summary.json`` has a record for each frame, is renamed last, and so marks a whole run; ``timings.json`` alone
-depends on the clock.
+``heights.bin`` and ``clouds.bin`` hold the wire payloads one after another (each header holds its length);
+``summary.json`` has a record for each frame and marks a complete run, because it is renamed last; only
+``timings.json`` depends on the clock.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _SUMMARY_BYTES_MAX = 1 << 28
 
 
 class RunWriter:
-    """Writes one run; a folder has the whole run or none.
+    """Writes one run; a folder has a complete run or none.
 
     Parameters
     ----------
     folder : Path
-        Made when missing; a run that is in it is removed now.
+        Created if missing; an earlier run in it is removed at once.
     calibration_crc32 : int
 
     Raises
     ------
     DeviceError
-        The folder cannot be written; from the methods too.
+        The folder cannot be written; the methods raise it too.
     """
 
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
@@ -71,13 +71,13 @@ class RunWriter:
         self._records.append(_record(recorded, result))
 
     def finish(self, timings: Mapping[str, Any]) -> None:
-        """Make the run whole."""
+        """Complete the run."""
         with disk_errors(self._folder):
             for stream in self._streams.values():
                 stream.flush()
                 os.fsync(stream.fileno())
                 stream.close()
-            lines = ",\n".join(json.dumps(record) for record in self._records)  # a line each, for diff and grep
+            lines = ",\n".join(json.dumps(record) for record in self._records)  # one line per record, for diff and grep
             for name in _ENCODERS:
                 part(self._folder / name).replace(self._folder / name)
             write_whole(self._folder / TIMINGS, (json.dumps(timings, indent=2) + "\n").encode())
@@ -86,7 +86,7 @@ class RunWriter:
         self._whole = True
 
     def discard(self) -> None:
-        """Remove what was begun; after `finish` there is nothing to remove."""
+        """Remove an unfinished run; after `finish` only close the files."""
         for stream in self._streams.values():
             with contextlib.suppress(OSError):
                 stream.close()
@@ -113,9 +113,9 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
     Raises
     ------
     ConfigError
-        There is no whole run in the folder.
+        There is no complete run in the folder.
     DecodeError
-        Damaged.
+        The summary is damaged.
     """
     path = folder / SUMMARY
     try:
@@ -135,9 +135,9 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
     Raises
     ------
     ConfigError
-        No such file.
+        The file is missing or unreadable.
     DecodeError
-        Cut short, or a payload longer than any.
+        The file is truncated, or states an impossible payload length.
     """
     path = folder / name
     try:

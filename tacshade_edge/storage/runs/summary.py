@@ -1,4 +1,4 @@
-"""What a ``summary.json`` says of one reconstruction."""
+"""The record of one reconstruction in ``summary.json``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tacshade_edge.types import Reconstruction
 
 
 def summary(result: Reconstruction) -> dict[str, Any]:
-    """Everything but the arrays, lengths rounded to 0.1 µm."""
+    """A reconstruction's values except the arrays, with lengths rounded to 0.1 µm."""
     return {
         "profile": result.profile,
         "valid": result.valid,

@@ -1,4 +1,4 @@
-"""``flange.json``: where the sensor was found on the flange."""
+"""``flange.json``: the sensor's estimated pose on the flange."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FLANGE = "flange.json"
 
 
 def write_flange(folder: Path, found: FoundFlange, *, delay_seen: bool, presses: int, frames: int) -> None:
-    """Write it, whole; the folder is made when missing. What is of a delay that was not seen is null.
+    """Write ``flange.json`` whole; create the folder if missing. Values of an unobserved delay are null.
 
     Raises
     ------

@@ -24,7 +24,7 @@ _PNG_SCALE_MM = 0.001
 
 
 def press_record(press: PlacedPress) -> dict[str, Any]:
-    """What ``map.json`` says of a press in the map."""
+    """The record of a press in ``map.json``."""
     return {
         "used": press.rejected is None,
         "reason": text_of(press.rejected),
@@ -35,15 +35,15 @@ def press_record(press: PlacedPress) -> dict[str, Any]:
 
 
 def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
-    """Write all files of a map; each is there whole or not at all.
+    """Write all files of a map, each whole or not at all.
 
     Parameters
     ----------
     folder : Path
-        Made when missing.
+        Created if missing.
     raster : Raster
     details : mapping
-        More keys of ``map.json``.
+        Additional keys of ``map.json``.
 
     Raises
     ------
@@ -58,12 +58,12 @@ def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
         "rows": raster.z_mm.shape[0],
         "cols": raster.z_mm.shape[1],
         "touched_mm2": float(np.count_nonzero(levels)) * raster.step_mm**2,
-        # Of map.png: 0 is untouched, level n is z0_mm + (n - 1) scale_mm.
+        # In map.png, 0 is untouched and level n is z0_mm + (n - 1) scale_mm.
         "png": {"z0_mm": z0_mm, "scale_mm": scale_mm},
         **details,
     }
     png = cv2.imencode(".png", levels)[1].tobytes()
-    del levels  # of a large map 30 MB
+    del levels  # 30 MB for a large map
     buffer = io.BytesIO()
     np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)
     with disk_errors(folder):
@@ -76,7 +76,7 @@ def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
 
 
 def _points(raster: Raster) -> Iterator[bytes]:
-    """The touched cells as PLY, in parts."""
+    """The touched cells as a PLY file, in parts."""
     count = sum(int(np.count_nonzero(np.isfinite(band.z_mm))) for band in raster.bands())
     yield ply.head(count, "millimetres, base frame")
     for band in raster.bands():
@@ -84,7 +84,7 @@ def _points(raster: Raster) -> Iterator[bytes]:
 
 
 def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
-    """16-bit levels, the z of level 1 and the step in mm; the step grows where the heights need it."""
+    """16-bit levels, the z of level 1 and the step in mm; the step grows with the range of heights if necessary."""
     low, high = height_span_mm(z_mm)
     scale_mm = max(_PNG_SCALE_MM, (high - low) / 65534)
     levels = np.empty(z_mm.shape, np.uint16)

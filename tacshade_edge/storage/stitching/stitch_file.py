@@ -1,8 +1,8 @@
-"""A stitching session on disk: what was acknowledged is there after a kill or a power cut.
+"""A stitching session on disk: acknowledged presses survive a kill or a power cut.
 
 A folder has ``session.json`` (written whole, by renaming) and ``presses.bin``, to which every press is appended and
-brought to the disk before it is acknowledged. Both have checksums. Where ``presses.bin`` is damaged, or its last press
-was cut by a crash, the file is kept beside as it was, and every whole press goes on, those after the damage too.
+synced before it is acknowledged. Both have checksums. If ``presses.bin`` is damaged or a crash truncated its last
+press, a copy of the damaged file is kept, and the session keeps every whole press, including those after the damage.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 SESSION, PRESSES = "session.json", "presses.bin"
 VERSION = 2
-"""Version 1 has no `sensor_id` and no `crc32`; it is read, too."""
+"""Version 1, without `sensor_id` and `crc32`, is still readable."""
 _HEAD = struct.Struct("<4sII")  # magic, bytes and CRC-32 of what follows
 _MAGIC = b"TCSP"
 _POSE_VALUES, _POINT_VALUES = 12, 7
@@ -46,7 +46,7 @@ _Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 
 class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``session.json`` holds.
+    """The content of ``session.json``.
 
     Attributes
     ----------
@@ -54,15 +54,15 @@ class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     begun_wall_ns : int
         Unix time.
     calibration_crc32 : int
-        Of the calibration that it began with.
+        CRC-32 of the calibration with which the session began.
     skin_radius_mm : float
     sensor_id : str
-        Whose session it is; empty in those of version 1.
+        The session's sensor; empty in version 1.
     state : str
         ``open``, or ``ended``.
     version : int
     crc32 : int
-        CRC-32 of the above as compact JSON, in the file only.
+        CRC-32 of the fields above as compact JSON; in the file only.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=64)]
@@ -78,22 +78,21 @@ class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StitchFile:
     """An open session's files.
 
-
     Raises
     ------
     DeviceError
-        The folder cannot be written; from the methods too.
+        The folder cannot be written; the methods raise it too.
     """
 
     def __init__(self, folder: Path, info: SessionInfo) -> None:
         self.folder = folder
         self.info = info
         self._stream: BinaryIO | None = None
-        self._end = self._before = 0  # of the last whole press, and of the one before
+        self._end = self._before = 0  # the ends of the last whole press and of the one before
 
     @classmethod
     def create(cls, folder: Path, info: SessionInfo) -> StitchFile:
-        """Begin a session in a folder that is not there yet; nothing is left of one that could not be begun."""
+        """Begin a session in a new folder; a failure leaves nothing behind."""
         with disk_errors(folder):
             require_free(folder.parent)
             folder.mkdir(parents=True)
@@ -111,7 +110,7 @@ class StitchFile:
 
     @classmethod
     def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
-        """Go on with a session: its presses, those that are whole, in order.
+        """Resume a session; return its file and its whole presses in order.
 
         Raises
         ------
@@ -140,32 +139,32 @@ class StitchFile:
 
     @property
     def gone(self) -> bool:
-        """Whether somebody deleted it."""
+        """Whether somebody has deleted the session."""
         return not os.path.lexists(self.folder / SESSION)
 
     def append(self, points: PressPoints, base_T_sensor: Rigid) -> None:
-        """Add a press; it is on the disk when this returns."""
+        """Append a press; it is on the disk when this returns."""
         pose = np.concatenate((base_T_sensor.rotation.ravel(), base_T_sensor.translation_mm))
         columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype("<f4")
         body = pose.astype("<f8").tobytes() + columns.tobytes()
         record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
         with disk_errors(self.folder):
-            if self.gone:  # the stream may be open still, to a file without a name
+            if self.gone:  # the stream may still be open on an unlinked file
                 raise DeviceError(f"{self.folder}: the session's files are gone", code=ReasonCode.DISK)
             require_free(self.folder)
             if self._stream is None:
                 self._stream = (self.folder / PRESSES).open("r+b", buffering=0)
-            # Over what a write that failed left behind.
+            # Overwrite the remains of a failed write.
             self._stream.seek(self._end)
             self._stream.truncate()
             written = self._stream.write(record)
-            if written < len(record):  # the disk took a part; the next write would say that it is full
+            if written < len(record):  # a partial write; the next one would report a full disk
                 raise DeviceError(f"{self.folder}: cannot write it: the disk is full", code=ReasonCode.DISK_FULL)
             os.fsync(self._stream.fileno())
         self._before, self._end = self._end, self._end + len(record)
 
     def take_back(self) -> None:
-        """Remove the press that `append` added just now, and that nobody has seen."""
+        """Remove the press that `append` has just added, before anyone has seen it."""
         assert self._stream is not None
         self._end = self._before
         with disk_errors(self.folder):
@@ -179,12 +178,12 @@ class StitchFile:
             write_whole(self.folder / SESSION, _json(self.info))
 
     def remove(self) -> None:
-        """Delete the session's files, and the folder if nothing else is in it; fine if somebody did already."""
+        """Delete the session's files, and the folder if it is then empty; do nothing if it is gone already."""
         self.close()
         if not self.folder.exists():
             return
         with disk_errors(self.folder):
-            # Without session.json it is no session, whatever a crash leaves of the rest.
+            # Without session.json the folder is no session, whatever else a crash leaves.
             (self.folder / SESSION).unlink(missing_ok=True)
             (self.folder / PRESSES).unlink(missing_ok=True)
             if not any(self.folder.iterdir()):
@@ -199,9 +198,9 @@ class StitchFile:
 
 
 def open_session(folder: Path, sensor_id: str) -> Path | None:
-    """Find a sensor's session below a folder that was not ended: the newest, or None.
+    """Find the newest open session of a sensor below a folder; None without one.
 
-    Damaged ones and those of other sensors are passed over, with a line in the log.
+    Damaged sessions and those of other sensors are skipped, with a line in the log.
     """
     found = []
     for path in sorted(folder.glob(f"*/{SESSION}")):
@@ -230,14 +229,14 @@ def read_info(folder: Path) -> SessionInfo:
     Raises
     ------
     DecodeError
-        Not readable, damaged, or of another version.
+        The file is unreadable, damaged, or of another version.
     """
     path = folder / SESSION
     try:
         info = msgspec.json.decode(read_regular(path, _INFO_BYTES_MAX), type=SessionInfo)
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or error}, expected a stitching session") from None
-    except (ValueError, RecursionError) as error:  # msgspec's are ValueErrors
+    except (ValueError, RecursionError) as error:  # msgspec raises ValueErrors
         raise DecodeError(f"{path}: {shown(str(error))}, expected a stitching session") from None
     if not 1 <= info.version <= VERSION:
         raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
@@ -263,7 +262,7 @@ def _free_name(path: Path) -> Path:
 
 
 def _keep(path: Path, beside: Path) -> None:
-    """Give a file a second name; a copy where the file system has no links."""
+    """Give a file a second name, or copy it if the file system has no links."""
     try:
         os.link(path, beside)
     except OSError:
@@ -272,7 +271,7 @@ def _keep(path: Path, beside: Path) -> None:
 
 
 def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int, int]]:
-    """Every whole press, wherever it begins and ends."""
+    """Every whole press with its first and end byte."""
     start = data.find(_MAGIC)
     while start >= 0:
         end = start + _HEAD.size
@@ -288,7 +287,7 @@ def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int,
 
 
 def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[PressPoints, Rigid] | None:
-    """What a checked body holds; None where it is damaged, or holds what no press is."""
+    """The press in a body; None if the body is damaged or its values cannot be a press."""
     rest = end - start - 8 * _POSE_VALUES
     if not 0 <= rest <= 4 * _POINT_VALUES * _PRESS_POINTS_MAX or rest % (4 * _POINT_VALUES):
         return None

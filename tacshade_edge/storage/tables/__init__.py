@@ -1,1 +1,1 @@
-"""Tables of presses, labels, poses and frames; the folder that `capture` fills."""
+"""Tables of presses, labels, poses and frames, and the folder that `capture` fills."""

@@ -1,4 +1,4 @@
-"""The folder that ``tacshade-edge capture`` fills, and that ``calibrate`` and ``run`` read as it is."""
+"""The folder that ``tacshade-edge capture`` fills and ``calibrate`` and ``run`` read."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REFERENCES = "reference_*.png"
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """What is stated of a press: the columns of PRESSES.csv but the image, as text."""
+    """A press as a person states it: the columns of PRESSES.csv except the image, as text."""
 
     columns: tuple[str, ...]
 
@@ -45,22 +45,22 @@ class TakenPress:
 
     @property
     def number(self) -> int:
-        """As in its image's name; 0 of a name that is not ours."""
+        """The number in the image's name; 0 if `capture` did not name the image."""
         digits = self.image.removeprefix("press_").removesuffix(".png")
         return int(digits) if digits.isascii() and digits.isdecimal() else 0
 
 
 def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float) -> Stated:
-    """Check what is stated of a press.
+    """Check the statements about a press.
 
     Parameters
     ----------
     where : str
-        For messages.
+        The place, for messages.
     columns : sequence of str
-        ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and those of `MORE`, or none of these.
+        ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none.
     names : collection of str
-        Indenters besides the ball.
+        Names of the indenters in addition to the ball.
     skin_radius_mm : float
 
     Raises
@@ -90,7 +90,7 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
 
 
 def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indenter | float]) -> KnownPress:
-    """A press that `stated` has checked, as `calibrate` takes it; `names` are the indenters besides the ball."""
+    """A press that `stated` has checked, for `calibrate`; `names` holds the indenters in addition to the ball."""
     indenter, radius_text, depth_text, x_text, y_text, *more = press.columns
     known = names.get(indenter)
     ball_mm = known if isinstance(known, float) else 0.0
@@ -108,7 +108,7 @@ def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indente
 
 
 def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:
-    """Read presses to be taken, from a table like PRESSES.csv whose images do not matter.
+    """Read a plan of presses from a table like PRESSES.csv; its images are ignored.
 
     Raises
     ------
@@ -123,44 +123,44 @@ def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tupl
 
 
 def _columns(cells: Sequence[str]) -> tuple[str, ...]:
-    """Without those of `MORE`, where all are empty."""
+    """The cells, without the columns of `MORE` if all of those are empty."""
     least = len(HEADER) - 1
     return tuple(cells) if any(cells[least:]) else tuple(cells[:least])
 
 
 class CaptureFolder:
-    """The folder; every change is whole on the disk when the call returns, or a DeviceError."""
+    """The folder; each change is complete on the disk when the call returns, or it raises DeviceError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @property
     def sensor(self) -> Path:
-        """SENSOR.yaml."""
+        """The path of SENSOR.yaml."""
         return self.path / SENSOR
 
     @property
     def settings(self) -> Path:
-        """The daemon's settings, with the camera as it was set."""
+        """The path of the daemon's settings, with the chosen camera settings."""
         return self.path / SETTINGS
 
     @property
     def presses(self) -> Path:
-        """PRESSES.csv."""
+        """The path of PRESSES.csv."""
         return self.path / PRESSES
 
     @property
     def indenters(self) -> Path:
-        """INDENTERS.yaml, which may be missing."""
+        """The path of INDENTERS.yaml, which may be missing."""
         return self.path / INDENTERS
 
     @property
     def printer(self) -> Path:
-        """PRINTER.yaml, of a machine that presses."""
+        """The path of PRINTER.yaml, the description of a machine that presses."""
         return self.path / PRINTER
 
     def make(self) -> None:
-        """Make the folder where there is none."""
+        """Make the folder if it does not exist."""
         with disk_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
 
@@ -170,14 +170,14 @@ class CaptureFolder:
             write_whole(path, text.encode())
 
     def references(self) -> list[U8]:
-        """Those that were taken. Raises ConfigError."""
+        """The reference images that were taken. Raises ConfigError."""
         try:
             return [read_image(path) for path in sorted(self.path.glob(REFERENCES))]
         except DecodeError as error:
             raise ConfigError(f"{error}; delete it to take the references again") from None
 
     def write_references(self, images: Sequence[U8]) -> None:
-        """Replace them; an end in between leaves fewer than were asked for, and never two sets."""
+        """Replace the reference images; an interruption leaves too few images but never a mixture of two sets."""
         with disk_errors(self.path):
             for path in self.path.glob(REFERENCES):
                 path.unlink()
@@ -209,7 +209,7 @@ class CaptureFolder:
         return taken
 
     def add(self, taken: Sequence[TakenPress], image: U8, press: Stated) -> TakenPress:
-        """Write a press after those that were taken: first its image, then the table."""
+        """Append a press: write its image first, then the table."""
         added = TakenPress(f"press_{next_number(taken):03d}.png", press)
         with disk_errors(self.path):
             write_whole(self.path / added.image, png(image))
@@ -217,14 +217,14 @@ class CaptureFolder:
         return added
 
     def remove(self, taken: Sequence[TakenPress], removed: TakenPress) -> None:
-        """Take a press out of the table, then delete its image."""
+        """Remove a press from the table, then delete its image."""
         with disk_errors(self.path):
             write_whole(self.presses, _table([one for one in taken if one is not removed]))
             (self.path / removed.image).unlink()
 
 
 def next_number(taken: Sequence[TakenPress]) -> int:
-    """Of the press that comes after these."""
+    """The number of the next press."""
     return max((one.number for one in taken), default=0) + 1
 
 

@@ -1,4 +1,4 @@
-"""The table beside the frames of a recording: their order, time stamps and poses."""
+"""The table of a recording's frames: their order, time stamps and poses."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 ERROR_COLUMN = "pose_error_us"
-MORE = (ERROR_COLUMN, CRC_COLUMN)  # may be missing: older tables have none of them, or the first
+MORE = (ERROR_COLUMN, CRC_COLUMN)  # optional: older tables have neither, or only the first
 TABLE_NAME = "frames.csv"
-T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
+T_NS_MAX = 2**62  # a looped recording continues from its last time, and the wire format holds 64 bits
 ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s; 150 bytes of memory each
 UNIT_TOLERANCE = 1e-3
-ERROR_US_MAX = 2**32 - 1  # as on the wire
+ERROR_US_MAX = 2**32 - 1  # as in the wire format
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the table; `pose_error_us` is how far from `t_ns` the pose is known."""
+    """One line of the table; `pose_error_us` is the greatest time between the pose and `t_ns`."""
 
     image: str
     t_ns: int
@@ -36,14 +36,14 @@ class Row:
 
 
 class FrameTable(Sequence[Row]):
-    """The rows of a table, packed: a row of its own for each would take three times the memory.
+    """The rows of a table, packed: one `Row` object each would take three times the memory.
 
     Attributes
     ----------
     damaged : int
-        How many lines were left out because their checksum is not theirs.
+        Number of lines left out because their checksum does not match.
     first_damaged : str
-        ``FILE:LINE`` of the first of them; empty where none was.
+        ``FILE:LINE`` of the first of them; empty if there is none.
     """
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class FrameTable(Sequence[Row]):
         self._errors_us = array("q")  # -1 without a pose
 
     def append(self, row: Row) -> None:
-        """Add one at the end."""
+        """Append a row."""
         pose = row.pose
         values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz) if pose else (0.0,) * 7
         self._images.append(row.image)
@@ -65,7 +65,7 @@ class FrameTable(Sequence[Row]):
 
     @property
     def damage(self) -> str:
-        """What was left out, for a person; empty where nothing was."""
+        """A line for a person about the lines left out; empty if there are none."""
         if not self.damaged:
             return ""
         lines = (
@@ -74,7 +74,7 @@ class FrameTable(Sequence[Row]):
         return f"{self.first_damaged}: left out {lines}, because the checksum does not match"
 
     def __len__(self) -> int:
-        """How many."""
+        """The number of rows."""
         return len(self._images)
 
     @overload
@@ -84,7 +84,7 @@ class FrameTable(Sequence[Row]):
     def __getitem__(self, index: slice) -> list[Row]: ...
 
     def __getitem__(self, index: int | slice) -> Row | list[Row]:
-        """One row, or a list of some."""
+        """One row, or a list of rows for a slice."""
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         at = range(len(self))[index]
@@ -94,17 +94,16 @@ class FrameTable(Sequence[Row]):
 
 
 def table_in(folder: Path) -> Path | None:
-    """The table of a folder of frames, or the ``.part`` that a writer who died has left; None without one."""
+    """The path of a folder's table of frames, or of the ``.part`` that a crashed writer left; None without either."""
     table = folder / TABLE_NAME
     return next((path for path in (table, part(table)) if path.exists()), None)
 
 
 def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
-    """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
+    """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven pose columns of a row are all filled or all empty.
 
-    ``pose_error_us`` may follow: empty is 0. ``crc32`` may follow that: lines with a wrong one are left out, counted.
-
-    `cut_off` leaves out a last line without an end: of a recording whose writer died.
+    ``pose_error_us`` may follow; empty means 0. ``crc32`` may follow that; lines that do not match it are left out and
+    counted. With `cut_off`, an unterminated last line is left out, as in a recording whose writer crashed.
 
     Raises
     ------

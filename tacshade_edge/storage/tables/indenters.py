@@ -1,4 +1,4 @@
-"""INDENTERS.yaml and its meshes to indenters, for ``tacshade-edge calibrate``; and a folder of those to print."""
+"""Reads INDENTERS.yaml and its meshes, for ``tacshade-edge calibrate``; writes a folder of printable indenters."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
 from tacshade_edge.storage.tables.presses import HEADER
 
-# A mesh has one side within these, mm: another size is one in metres or inches, or a mistake.
+# Limits of a mesh's longest side in mm; a mesh outside them is in metres or inches, or a mistake.
 _LEAST_MM, _MOST_MM = 0.5, 500.0
 
 
 def read_indenters(path: Path) -> dict[str, Indenter | float]:
-    """Read the file and its meshes (relative to it): name to indenter, or to the radius of a ball in mm.
+    """Read the file and its meshes (relative to it): name to indenter, or to a ball's radius in mm.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def write_printables(folder: Path) -> list[Path]:
     Raises
     ------
     ConfigError
-        There is one of the tables, which may be a person's own.
+        One of the tables exists already; it may be a person's own.
     DeviceError
         The folder cannot be written.
     """
@@ -71,7 +71,7 @@ def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indent
             return shapes.cone(name, angle_deg)
         case IndenterEntry(shape="mesh", file=str(file)):
             return _mesh(path.parent / file, name, where)
-    raise AssertionError(entry)  # what a shape needs was checked
+    raise AssertionError(entry)  # `read_indenters_file` checked each shape's keys
 
 
 def _mesh(path: Path, name: str, where: str) -> Indenter:

@@ -1,4 +1,4 @@
-"""The images and LABELS.csv that ``tacshade-edge capture --labels`` writes; `labels` reads them."""
+"""Writes the images and LABELS.csv of ``tacshade-edge capture --labels``, which `labels` reads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LABELS = "LABELS.csv"
 
 @dataclass(frozen=True, slots=True)
 class LabelRow:
-    """A row: an image of the folder, what is known of it, the number of its press, and its time where it is of now."""
+    """A row: an image of the folder, its known quantities, its press's number, and its time if this run took it."""
 
     image: str
     known: Mapping[str, float]
@@ -28,7 +28,7 @@ class LabelRow:
 
 
 class LabelFolder:
-    """Every change is whole on the disk when the call returns, or a DeviceError."""
+    """The folder; each change is complete on the disk when the call returns, or it raises DeviceError."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -36,11 +36,11 @@ class LabelFolder:
 
     @property
     def table(self) -> Path:
-        """LABELS.csv."""
+        """The path of LABELS.csv."""
         return self._path / LABELS
 
     def rows(self) -> list[LabelRow]:
-        """Those of an earlier start; none without a table. Raises ConfigError."""
+        """The rows of earlier runs; none without a table. Raises ConfigError."""
         if not self.table.exists():
             return []
         labelled = read_labels(self.table, self._path)
@@ -49,7 +49,7 @@ class LabelFolder:
         return [LabelRow(str(one.path.relative_to(self._path)), one.known, one.group) for one in labelled]
 
     def add_image(self, image: U8) -> str:
-        """Write an image; its name."""
+        """Write an image and return its name."""
         self._number += 1
         name = f"label_{self._number:05d}.png"
         with disk_errors(self._path):
@@ -57,7 +57,7 @@ class LabelFolder:
         return name
 
     def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
-        """Write the table, which is none without a row, then delete images that are not in it any more."""
+        """Write the table, or delete it if it has no labels, then delete the images of removed rows."""
         columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
         stream = io.StringIO(newline="")
         writer = csv.writer(stream, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""LABELS.csv: what a robot or a person knows of each frame, for ``calibrate --labels`` and ``evaluate --labels``."""
+"""LABELS.csv: known quantities of each frame, from a robot or person, for ``calibrate`` and ``evaluate --labels``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.types import QUANTITIES
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """An image and what is known of it.
+    """An image and its known quantities.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class LabelledImage:
     where : str
         ``FILE:LINE``.
     group : str
-        Images of one press have the same; empty where nothing is stated.
+        The same for all images of one press; empty if not stated.
     """
 
     path: Path
@@ -33,18 +33,18 @@ class LabelledImage:
 
 
 def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
-    """Read the table: columns in any order, a cell is empty where nothing is known.
+    """Read the table: columns in any order, an empty cell for an unknown quantity.
 
     Parameters
     ----------
     path : Path
     folder : Path
-        Where the images are.
+        The folder of the images.
 
     Raises
     ------
     ConfigError
-        ``FILE:LINE: column: found …, expected …``, no quantity, or no line at all.
+        ``FILE:LINE: column: found …, expected …``, no quantity, or no row at all.
     """
     table = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
     if table.unknown:

@@ -1,4 +1,4 @@
-"""POSES.csv: where the robot's flange was when each image was taken, for ``tacshade-edge stitch``."""
+"""POSES.csv: the pose of the robot's flange at each image, for ``tacshade-edge stitch``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PosedImage:
     where : str
         ``FILE:LINE``.
     path : Path
-        Of the image.
+        The image's path.
     base_T_flange : Rigid
     """
 
@@ -34,12 +34,12 @@ class PosedImage:
 
 
 def read_poses(path: Path) -> list[PosedImage]:
-    """Read the table; images are relative to it and are not read yet.
+    """Read the table but not its images, whose paths are relative to it.
 
     Raises
     ------
     ConfigError
-        ``FILE:LINE: column: found …, expected …``; a table without a line.
+        ``FILE:LINE: column: found …, expected …``; or the table has no row.
     """
     found = [_posed(path, where, row) for where, row in iter_rows(path, HEADER, "poses", rows_max=ROWS_MAX)]
     if not found:

@@ -1,4 +1,4 @@
-"""What presses the simulated sensor now, from a file that another program replaces: a hand, or a machine."""
+"""Presses on the simulated sensor from a file that another program, such as a hand or a machine, replaces."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from tacshade_edge.storage.tables.tables import number, read_rows
 
 HEADER = ("indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
 MORE = ("yaw_deg",)
-"""Columns that it may have too; an empty cell is 0."""
+"""Optional columns; an empty cell means 0."""
 
 
 class PressedFile:
-    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``: one row for each that touches.
+    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``, with one row per touching object.
 
-    An indenter is ``ball``, or an object of the simulator, whose radius is empty. No row, or no file: nothing touches.
-    The file should be replaced whole (written beside its place and renamed).
+    An indenter is ``ball``, or one of the simulator's objects, with an empty radius. Without a row or a file nothing
+    touches. Writers should replace the file whole (write a temporary file and rename it).
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._read: tuple[int, int] | None = None  # which file, and when it was changed
+        self._read: tuple[int, int] | None = None  # inode and modification time
         self._presses: tuple[Press, ...] = ()
 
     def at(self, _index: int) -> tuple[Press, ...]:
-        """What touches now. Raises DecodeError, once for each content that cannot be understood."""
+        """The current presses. Raises DecodeError, once for each content that cannot be understood."""
         try:
             status = self._path.stat()
         except OSError:

@@ -13,11 +13,11 @@ from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.tables import number, read_columns
 
 BALL = "ball"
-"""The indenter that needs no entry in INDENTERS.yaml."""
+"""The indenter without an entry in INDENTERS.yaml."""
 
 HEADER = ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
 MORE = ("yaw_deg", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
-"""Columns that a table may have too; an empty cell is 0."""
+"""Optional columns; an empty cell means 0."""
 
 _YAW_MOST_DEG, _TILT_MOST_DEG = 360.0, 60.0
 
@@ -31,30 +31,30 @@ def read_presses(
     ----------
     path : Path
     indenters : mapping of str to Indenter or float, optional
-        Those of INDENTERS.yaml; a float is a ball's radius in mm.
+        The indenters of INDENTERS.yaml; a float is a ball's radius in mm.
 
     Returns
     -------
     presses : list of KnownPress
     notes : tuple of str
-        What a person should know of the table, a line each.
+        Remarks on the table for a person, one line each.
 
     Raises
     ------
     ConfigError
-        ``FILE:LINE: column: found …, expected …``, or an image that cannot be read.
+        ``FILE:LINE: column: found …, expected …``, or an image is unreadable.
     """
     rows, notes = press_rows(path)
     return [_press(path, where, row, indenters or {}) for where, row in rows], notes
 
 
 def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:
-    """Cells of the table's rows by column, numbers with a decimal point, each with ``FILE:LINE``; and notes on them.
+    """The table's rows, each ``FILE:LINE`` and its cells by column with decimal points, and notes for a person.
 
     Raises
     ------
     ConfigError
-        No such table.
+        The table is absent or not such a table.
     """
     table = read_columns(path, HEADER, MORE, "presses")
     notes: tuple[str, ...] = ()
@@ -96,7 +96,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
         _within(where, row, "tilt_x_deg", _TILT_MOST_DEG),
         _within(where, row, "tilt_y_deg", _TILT_MOST_DEG),
     ]
-    # x and y are as pictured: the drag says nothing of where the indenter is, but must be a number.
+    # x and y already give the indenter's place in the image; the drag does not matter but must be a number.
     for column in MORE[3:]:
         _optional(where, row, column)
     if indenter is None:

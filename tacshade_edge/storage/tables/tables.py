@@ -1,4 +1,4 @@
-"""Strict CSV tables: a mistake is reported as ``FILE:LINE: column: found …, expected …``."""
+"""Reads CSV tables strictly and reports a mistake as ``FILE:LINE: column: found …, expected …``."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from tacshade_edge.regular_files import open_regular
 
 ROWS_MAX: Final = 10_000
 NUMBER_MAX: Final = 1e6
-"""No length in mm, no angle and no time in s of a table comes near it."""
+"""Greatest number in a table, far above any length in mm, angle or time in s."""
 
 CRC_COLUMN: Final = "crc32"
 
-_BYTES_A_ROW_MAX: Final = 512  # on the average
+_BYTES_A_ROW_MAX: Final = 512  # on average
 _ROW_CHARS_MAX: Final = 1 << 16
 
 
 def read_rows(
     path: Path, header: tuple[str, ...], what: str, *, more: tuple[str, ...] = (), rows_max: int = ROWS_MAX
 ) -> list[tuple[str, list[str]]]:
-    """Read a table with exactly this header as a list. Arguments and errors are those of `iter_rows`."""
+    """Read a table with exactly this header as a list, with the arguments and errors of `iter_rows`."""
     return list(iter_rows(path, header, what, more=more, rows_max=rows_max))
 
 
@@ -44,24 +44,24 @@ def iter_rows(
     rows_max: int = ROWS_MAX,
     on_damage: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, list[str]]]:
-    """Read a table with exactly this header, row by row; empty lines are passed over.
+    """Read a table with exactly this header, row by row, skipping empty lines.
 
-    Where the header ends with `CRC_COLUMN` each line has its `line_crc32`, which is not given on. Lines of which it is
-    not that are left out; so is a header that is none, where lines after it have theirs.
+    If the header ends with `CRC_COLUMN`, each line ends with its `line_crc32`, which is not yielded. Lines with a wrong
+    one are left out, and so is a damaged header if the lines after it have theirs.
 
     Parameters
     ----------
     path : Path
     header : tuple of str
     what : str
-        What the rows are, for a person.
+        The kind of rows, for messages.
     more : tuple of str
-        Columns after those of `header`; a table may end after any of them.
+        Optional columns after those of `header`; a table may end after any of them.
     cut_off : bool
-        Its writer died: a last line without an end is left out.
+        The writer crashed: leave out an unterminated last line.
     rows_max : int
     on_damage : callable, optional
-        Gets ``FILE:LINE`` of each line that is left out.
+        Called with ``FILE:LINE`` of each line left out.
 
     Yields
     ------
@@ -70,11 +70,11 @@ def iter_rows(
     Raises
     ------
     ConfigError
-        Not readable, not CSV, another header, a row of another length, or too many of them.
+        The file is unreadable or not CSV, has another header, a row of another length, or too many rows.
     """
     with _opened(path, what, rows_max, "surrogateescape") as stream:
         text = _text(path, stream)
-        start = list(itertools.islice(text, 3))  # the header, of which damage may make two lines
+        start = list(itertools.islice(text, 3))  # the header, which damage may split in two
         text = itertools.chain(start, text)
         kept = _Kept(path, _whole_lines(text) if cut_off else text)
         kept.on_damage = (lambda line: on_damage(f"{path}:{line}")) if on_damage else None
@@ -96,7 +96,7 @@ def iter_rows(
 
 
 def line_crc32(columns: str) -> str:
-    """The last cell of a line: CRC-32 (zlib's) of all before its last comma, eight hexadecimal digits."""
+    """The last cell of a line: zlib's CRC-32 of everything before its last comma, in eight hexadecimal digits."""
     return f"{zlib.crc32(columns.encode(errors='surrogateescape')):08x}"
 
 
@@ -106,7 +106,7 @@ def _is_checked(line: str) -> bool:
 
 
 class _Kept:
-    """The lines of a table without those whose checksum is not theirs, once `checked` is set."""
+    """The lines of a table; once `checked` is set, without those with a wrong checksum."""
 
     def __init__(self, path: Path, lines: Iterable[str]) -> None:
         self._path = path
@@ -137,15 +137,15 @@ class _Kept:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of which some columns are known, in any order.
+    """A table with known and unknown columns in any order.
 
     Attributes
     ----------
     rows : tuple of (``FILE:LINE``, column to cell)
     unknown : tuple of str
-        Columns that are not known, in the table's order.
+        Unknown columns in the table's order.
     decimal_comma : bool
-        Its columns are set apart by something else than commas: a comma in a number is its decimal sign.
+        The delimiter is not a comma, so a comma in a number is the decimal sign.
     """
 
     rows: tuple[tuple[str, dict[str, str]], ...]
@@ -154,14 +154,14 @@ class Table:
 
 
 def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...], what: str) -> Table:
-    """Read a table as a person's spreadsheet writes it: columns in any order, ``,``, ``;`` or tabs, UTF-8 or UTF-16.
+    """Read a table as a spreadsheet writes it: columns in any order, ``,``, ``;`` or tabs, UTF-8 or UTF-16.
 
-    UTF-16 needs its byte order mark, which spreadsheets write. Rows without any cell are passed over.
+    UTF-16 needs its byte order mark, which spreadsheets write. Rows without any filled cell are skipped.
 
     Raises
     ------
     ConfigError
-        Not readable, not CSV, a column missing or there twice, or a row of another length.
+        The file is unreadable or not CSV, a column is missing or repeated, or a row has another length.
     """
     with _opened(path, what, ROWS_MAX) as stream:
         text = _text(path, stream)
@@ -185,7 +185,7 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
 
 
 def number(where: str, column: str, text: str) -> float:
-    """A number from -`NUMBER_MAX` to `NUMBER_MAX`. Raises ConfigError."""
+    """Parse a number from -`NUMBER_MAX` to `NUMBER_MAX`. Raises ConfigError."""
     try:
         value = float(text)
     except ValueError:
@@ -199,7 +199,7 @@ def number(where: str, column: str, text: str) -> float:
 
 
 def _opened(path: Path, what: str, rows_max: int, errors: str = "strict") -> TextIO:
-    """A table's text, in UTF-8 or, with its byte order mark, UTF-16. Raises ConfigError."""
+    """Open a table's text, in UTF-8 or, with its byte order mark, UTF-16. Raises ConfigError."""
     try:
         stream = open_regular(path, rows_max * _BYTES_A_ROW_MAX)
         start = stream.read(2)
@@ -211,7 +211,7 @@ def _opened(path: Path, what: str, rows_max: int, errors: str = "strict") -> Tex
 
 
 def _text(path: Path, stream: TextIO) -> Iterator[str]:
-    """Lines with their ends, none of them without bound."""
+    """The file's lines with their ends, split where they exceed the limit. Raises ConfigError."""
     try:
         while line := stream.readline(_ROW_CHARS_MAX + 1):
             yield line
@@ -222,7 +222,7 @@ def _text(path: Path, stream: TextIO) -> Iterator[str]:
 
 
 def _lines(path: Path, text: Iterable[str], delimiter: str, rows_max: int) -> Iterator[tuple[int, list[str]]]:
-    """Each row that is not empty with the number of its last line. Raises ConfigError."""
+    """Each non-empty row with the number of its last line. Raises ConfigError."""
     taken = 0
 
     def bounded() -> Iterator[str]:

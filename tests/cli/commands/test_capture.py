@@ -90,7 +90,9 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
     folder = CaptureFolder(out)
     presses, _ = read_presses(folder.presses)
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
-    assert load(folder.settings).settings.calibration == str(out / "calibration.npz")
+    settings = load(folder.settings).settings
+    assert settings.calibration == str(out / "calibration.npz")
+    assert settings.recorder.folder == str(out / "recordings")  # the default is the service's
     calibrate(read_sensor(folder.sensor), folder.references())
 
 

@@ -1,4 +1,5 @@
 import csv
+import shlex
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,8 @@ import pytest
 import yaml
 
 from tacshade_edge.cli import main
+from tacshade_edge.settings import load
+from tacshade_edge.settings.model import Simulated
 
 pytestmark = pytest.mark.slow
 
@@ -73,6 +76,23 @@ def test_calibration_set_is_complete_and_repeatable(tmp_path: Path, capsys: pyte
         assert (one / name).read_bytes() == (two / name).read_bytes()
     first, second = (cv2.imread(str(one / f"reference_0{k}.png")).astype(int) for k in (0, 1))
     assert 0 < np.abs(first - second).mean() < 10  # the same scene with other noise
+
+
+def test_calibration_set_of_the_sensor_that_the_daemon_simulates_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = tmp_path / "my practice"
+    assert main(["simulate", "--calibration-set", str(made), "--presses", "9"]) == 0
+    calibrate, run = (shlex.split(line) for line in capsys.readouterr().out.splitlines()[-2:])
+    references = sorted(str(path) for path in made.glob("reference_*.png"))
+    at = calibrate.index(f"{made}/reference_*.png")  # a shell's work
+    assert main([*calibrate[1:at], *references, *calibrate[at + 1 :]]) == 0
+    assert run[:-1] == ["tacshade-edge", "run", "--config"]
+    settings = load(Path(run[-1])).settings
+    assert settings.calibration == calibrate[-1]
+    assert Path(settings.calibration).exists()
+    assert settings.source == Simulated()
+    assert settings.recorder.folder == str(made / "recordings")
 
 
 @pytest.mark.parametrize(

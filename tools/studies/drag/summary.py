@@ -12,9 +12,9 @@ from tacshade_edge.studies.tables import markdown
 from tools.studies.drag.work import DragRow
 
 TELLING_MM = 0.5
-"""A true shear from which its direction counts."""
+"""Least true shear at which its direction counts, mm."""
 WRONG, WRONG_MM = 0.25, 0.3
-"""So far off, as a ratio and in mm, a depth is wrong."""
+"""Errors, as a ratio and in mm, beyond which a depth is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ HEADER = (
 
 
 def family_of(row: DragRow) -> str:
-    """Of its sensor."""
+    """The family of a row's sensor."""
     return row.sensor.rpartition(":")[0] or "tacshade"
 
 

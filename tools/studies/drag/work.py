@@ -23,19 +23,19 @@ from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 SENSORS = "default,5,other:31,other:32"
-"""Those of a study where none is named."""
+"""The study's default sensors."""
 DIRECTIONS = 4
 DEPTHS_MM = (1.0, 2.75, 4.5)
 FARTHEST = 0.3
-"""Places lie up to so many skin radii from the tip."""
+"""Greatest distance of a place from the tip, in skin radii."""
 NOISE = 6000
 _TRUE_POINTS = 4000
-"""So many points of a contact say how the skin truly moved."""
+"""Number of a contact's points that give the skin's true motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What is done to an object beside pressing it; lengths on a skin of 20 mm."""
+    """What is done to an object in addition to pressing it; lengths on a skin of 20 mm."""
 
     drag_mm: float = 0.0
     twist_deg: float = 0.0
@@ -54,7 +54,7 @@ CONDITIONS = (Condition(), Condition(1.0), Condition(2.0), Condition(3.0), Condi
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be studied; equal plans give equal rows."""
+    """The extent of a study; equal plans give equal rows."""
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Heights along a line across a press: what the skin truly does there, and what was found."""
+"""Heights along a line across a press: the skin's true heights and the found ones."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def found_heights(line: Across, height: HeightMap) -> F64:
 
 
 def dip_mm(x_mm: F64, h_mm: F64, width_mm: float, gap_mm: float) -> float:
-    """How much lower the lowest place in the gap is than the lower of both bars' highest."""
+    """Depth in mm of the gap's lowest point below the lower of the two bars' maxima."""
     side = np.abs(x_mm) - gap_mm / 2
     bar = (side >= 0) & (side <= width_mm)
     left, right, middle = h_mm[bar & (x_mm < 0)], h_mm[bar & (x_mm > 0)], h_mm[side < 0]
@@ -71,5 +71,5 @@ def dip_mm(x_mm: F64, h_mm: F64, width_mm: float, gap_mm: float) -> float:
 
 
 def top_mm(x_mm: F64, h_mm: F64, width_mm: float) -> float:
-    """The greatest h over a ridge, and half a millimetre beside it."""
+    """The greatest h in mm over a ridge and half a millimetre on either side."""
     return float(np.nanmax(h_mm[np.abs(x_mm) <= width_mm / 2 + 0.5]))

@@ -12,13 +12,13 @@ from tools.studies.limits.rows import DepthRow, DisturbedRow, FineRow, Found, Nu
 from tools.studies.limits.work import Limits, Plan
 
 DETECTED = 0.95
-"""The part of presses that has to be found for a depth to count as detected."""
+"""Share of presses that must be found for a depth to count as detected."""
 RESOLVED = 0.75
-"""The part of places at which a gap or ridge has to come out."""
+"""Share of places at which a gap or ridge must be resolved."""
 DIP_PART, LEAST_DIP_MM, RIDGE_OFF = 0.5, 0.05, 0.2
 """A gap shows when h dips by half as much as it truly does, and a ridge when its height is within a fifth."""
 WRONG = 0.25
-"""So far off, as a ratio, a depth is wrong."""
+"""Relative error beyond which a depth is wrong."""
 
 
 def profiles_of(rows: Iterable[Found]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The jobs of a study of limits: what is shown to which sensor."""
+"""The jobs of a study of limits: which sensor sees what."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Plan:
     sensors : tuple of SensorName
     profiles : tuple of str
     references, presses : int
-        What each sensor is calibrated on.
+        Numbers that each sensor is calibrated on.
     null_frames, beyond_frames : int
         Frames with nothing touching over all sensors, disturbed as in use and (`BEYOND`) more than that.
     ball_radii_mm, faint_depths_mm : tuple of float

@@ -10,7 +10,7 @@ from tacshade_edge.studies.tables import markdown
 from tools.studies.margin.work import HeldRow, LoadRow, Row
 
 AHEAD_S = 0.1
-"""A slip is announced when the alarm comes so long before its onset."""
+"""Least time of an alarm before the onset that announces a slip, s."""
 
 
 def text(rows: Sequence[Row]) -> str:

@@ -35,11 +35,11 @@ DEPTH_MM, FAR_MM = (1.5, 3.0), 9.0
 SETTLED_S, SEEN_S, AFTER_S = 0.45, 0.2, 0.3
 """An object rests so long before its load grows; of this rest and after the onset of its slip so much is looked at."""
 REACH_S = (0.5, 2.0)
-"""From the start of a load to the slip."""
+"""Least and greatest time from the start of a load to the slip."""
 LOOSENED_PART = 0.55
 """Part of the way to the slip by which an object is dragged before its grip is loosened."""
 MOST_LIFTED = 0.9
-"""Of the depth."""
+"""Greatest lift, as a share of the depth."""
 HELD_SHARE, SHAKEN_PART, SHAKEN_DEPTH = (0.3, 0.45), 0.25, 0.08
 """Part of the load to the slip at which an object is held; parts of its drag and of its depth by which it is shaken."""
 PERIOD = 24
@@ -161,11 +161,11 @@ class _Drawn:
         self._camera = Renderer(self.model)
 
     def frames(self, motion: Motion) -> Callable[[float], SimulatedFrame]:
-        """Of a motion, at a time in seconds."""
+        """A function that draws a motion's frame at a time in s."""
         return MovingScene([motion], self._quiet).frame if self._other is None else partial(_at, self._other, motion)
 
     def slides(self, press: Press) -> bool:
-        """Whether an object that was moved so slides as a whole."""
+        """Whether an object slides as a whole under this press."""
         return _stuck(self._skin(press)) <= SLIDES
 
     def carried_mm(self, press: Press) -> float:
@@ -177,7 +177,7 @@ class _Drawn:
         return skin_under(self.model, [press]) if self._other is None else self._other.frame([press]).skin
 
     def exposed(self, drawn: SimulatedFrame, seed: int) -> U8:
-        """Its image with noise."""
+        """A frame's image with the camera's noise."""
         return self._camera.expose(drawn.image[..., 1].astype(np.float32), seed)  # the gain of green is 1
 
 

@@ -15,7 +15,7 @@ from tools.studies.sigma.work import Found
 
 _COLOURS = ("#3d6fb4", "#e4572e", "#4a9c5d")
 _LOW, _HIGH = 85, 95
-"""What 90 % intervals may hold, %."""
+"""Accepted coverage of 90 % intervals, %."""
 
 
 def draw(found: Sequence[Found]) -> bytes:

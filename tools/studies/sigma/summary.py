@@ -24,9 +24,9 @@ class SigmaFigures:
     covered : float
         Part of the cells whose 90 % interval holds the true height.
     told : float
-        Part of all absolute error in the tenth of the cells with the greatest σ.
+        Share of all absolute error in the tenth of the cells with the greatest σ.
     most : float
-        The same of the tenth with the greatest error itself.
+        The same share in the tenth with the greatest error.
     """
 
     frames: int
@@ -53,7 +53,7 @@ def figures(found: Sequence[Found]) -> SigmaFigures:
 
 
 def joined(found: Sequence[Found]) -> tuple[F32, F32]:
-    """|error| and σ of all cells, mm."""
+    """|error| and σ of all cells in mm."""
     return np.concatenate([each.error_mm for each in found]), np.concatenate([each.sigma_mm for each in found])
 
 
@@ -84,7 +84,7 @@ HEADER = (
 
 
 def family_of(found: Found) -> str:
-    """Of its sensor."""
+    """The family of a row's sensor."""
     return found.row.sensor.rpartition(":")[0] or "tacshade"
 
 

@@ -23,12 +23,12 @@ from tools.studies.drag.work import presses as drag_presses
 
 NOISE = 7000
 DRAGGED_MM = (0.0, 2.0)
-"""On a skin of 20 mm."""
+"""Drags on a skin of 20 mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be studied; equal plans give equal rows."""
+    """The extent of a study; equal plans give equal rows."""
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
@@ -86,7 +86,7 @@ def study(plan: Plan, workers: Workers, report: Report) -> tuple[Found, ...]:
 
 
 def presses(model: SensorModel, seed: int | None, object_name: str) -> Iterator[tuple[float, Press]]:
-    """Those of the study of drag, undragged and dragged by 2 mm; the drag in mm with each."""
+    """The presses of the study of drag, undragged and dragged by 2 mm, each with its drag in mm."""
     wanted = [each for each in CONDITIONS if each.drag_mm in DRAGGED_MM and not each.twist_deg]
     for condition, _, press in drag_presses(model, seed, object_name):
         if condition in wanted:

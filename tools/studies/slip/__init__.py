@@ -1,1 +1,1 @@
-"""Slip over time: told how soon, and how often where nothing slides."""
+"""Slip over time: how soon it is reported, and how often falsely."""

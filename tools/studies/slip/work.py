@@ -62,7 +62,7 @@ class SlideRow:
     onset_s : float
         When the whole contact slides, by the truth; NaN: it never does.
     told_s : float
-        When that was told first; NaN: never.
+        When that was first reported; NaN: never.
     found_mm_s, true_mm_s : float
         Speed over the skin 0.15 s after the onset; NaN where none is reported.
     """

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A stand-in for ``rpicam-vid`` that shows what the simulated sensor sees at a robot's pose, and is that robot.
+"""A stand-in for ``rpicam-vid`` that acts as a robot and shows what the simulated sensor sees at its pose.
 
 Put a script of that name on the daemon's PATH that starts it. `SERVO` in the environment, a JSON object, says the rest:
 `scene` (surface, edge), `delay_s` of the robot, `port` (UDP, on loopback) where it hears ``vx vy vz wx wy wz``, `kept`
@@ -27,7 +27,7 @@ from tools.testbed.servo.world import LateRobot, scene
 
 
 def main() -> int:
-    """Write frames until nobody reads."""
+    """Write frames until the reader closes the pipe."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--width", type=int)
     parser.add_argument("--height", type=int)

@@ -1,4 +1,4 @@
-"""Where a robot holds the sensor on a surface or at an edge: true touch, and a robot that obeys late."""
+"""The pose at which a robot holds the sensor on a surface or at an edge: true touch, and a robot that lags."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where a pixel looks, and where the skin is there."""
+"""Each pixel's ray, and the skin point that it sees."""

@@ -1,1 +1,1 @@
-"""Shapes that press: balls and others, and such to print."""
+"""Shapes of indenters, and indenters to print."""

@@ -1,7 +1,7 @@
-"""Indenters of known shape that are no balls: where their surface lies under a press.
+"""Place indenters of known shape, other than balls, and compute where their surface lies in a press.
 
-Every shape is a closed surface of triangles. Round sides have `SIDES` flats that lie on the circle at their corners, so
-the surface is at most 3e-4 radii inside the true one.
+Every shape is a closed surface of triangles. Round sides have `SIDES` flats with corners on the circle, so the surface
+is at most 3e-4 radii inside the true one.
 
 References
 ----------
@@ -25,27 +25,27 @@ from tacshade_edge.types import F32, F64, Geometry, freeze
 I64 = npt.NDArray[np.int64]
 
 SIDES = 128
-"""Of what is round."""
-# Corners of what stands upright, above its foot, mm: none but the near ones matter, and the last is beyond any skin.
+"""Number of flats of a round side."""
+# Heights of an upright shape's corners, mm: only the lowest matter, and the last is beyond any skin.
 _LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
-# A triangle is looked at where it is nearer to the lens than this part of the skin's radius: no picture shows less.
+# Triangles nearer to the lens than this, in skin radii, are ignored: no image shows them.
 _LEAST_RANGE = 1e-3
-# A touch is found when the next step would be smaller, in skin radii; or after so many, each a part of what is left.
+# The search for the first touch ends at a step below this (skin radii), or after this many steps.
 _TOUCH_STEP, _TOUCH_STEPS = 1e-9, 200
-# Rounding leaves no gap between triangles: a cell so far beside one, in its areas, is on it. Pairs are looked at in
-# parts, which bounds the memory.
+# A cell this far outside a triangle, in its areas, counts as inside, so that rounding leaves no gap. Pairs are
+# processed in parts of this size, to bound the memory.
 _EDGE, _PAIRS = 1e-9, 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indenter:
-    """A solid in its own frame: its lowest point has z = 0, z points away from the sensor.
+    """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor.
 
     Attributes
     ----------
     name : str
     triangles_mm : float64 (N, 3, 3)
-        Corners x, y, z of its surface.
+        Corners x, y, z of the surface's triangles.
     """
 
     name: str
@@ -57,16 +57,16 @@ class Indenter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedIndenter:
-    """An indenter where it is pressed.
+    """An indenter in its place during a press.
 
     Attributes
     ----------
     x_mm, y_mm : float
-        Of its origin, in the sensor frame.
+        Place of its origin in the sensor frame.
     depth_mm : float
         The undeformed skin's z at (x, y) less the z of its lowest point.
     triangles_mm : float64 (N, 3, 3)
-        In the sensor frame.
+        Corners in the sensor frame.
     """
 
     x_mm: float
@@ -78,15 +78,15 @@ class PlacedIndenter:
         freeze(self, "triangles_mm")
 
     def depth_max_mm(self, skin_radius_mm: float) -> float:
-        """Greatest h of the skin under it; negative above the skin."""
+        """Greatest h of the skin under it, mm; negative if it is above the skin."""
         return skin_radius_mm - float(np.linalg.norm(_nearest(self.triangles_mm)))
 
     def first_touch_mm(self, skin_radius_mm: float) -> float:
-        """Find the depth at which it first touched the undeformed skin, coming along -z; its own if it does not."""
+        """Find the depth in mm at which it first touched the undeformed skin, moving along -z; else its own depth."""
         lifted, travel = self.triangles_mm + 0.0, 0.0
         for _ in range(_TOUCH_STEPS):
             x, y, z = _nearest(lifted)[0]
-            # What is deepest must come out at least, so this never lifts too far.
+            # At least the deepest point must come out, so this never lifts too far.
             step = math.sqrt(max(skin_radius_mm**2 - x * x - y * y, 0.0)) - z
             if math.hypot(x, y, z) >= skin_radius_mm or step <= _TOUCH_STEP * skin_radius_mm:
                 break
@@ -95,22 +95,22 @@ class PlacedIndenter:
         return self.depth_mm - travel
 
     def deeper(self, by_mm: float) -> PlacedIndenter:
-        """The same, so much deeper."""
+        """The same indenter pressed deeper."""
         return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
-        """Find h = r - |S| where a camera's rays meet its surface S first.
+        """Compute h = r - |S| at the points S where the camera's rays first meet the surface.
 
         Returns
         -------
         float32 (rows, cols)
-            mm, above 0: NaN where it does not lie inside the undeformed skin, and outside the disc.
+            mm, above 0; NaN outside the disc and where the surface is not inside the undeformed skin.
         """
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
         near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
         if d is not None:
             near &= self.triangles_mm[..., 2].min(axis=1) > _LEAST_RANGE * r - d
-        # A map that keeps planes plane, and puts first what a ray meets first.
+        # Project: planes stay planes, and the highest point is the one that a ray meets first.
         x, y, z = np.moveaxis(self.triangles_mm[near], -1, 0)
         u, v = rays.u.astype(np.float64), rays.v.astype(np.float64)
         if d is None:
@@ -123,30 +123,30 @@ class PlacedIndenter:
 
 
 def cylinder(name: str, radius_mm: float) -> Indenter:
-    """A cylinder that stands on its flat end."""
+    """Make a cylinder that stands on its flat end."""
     return Indenter(name, surface([level(circle(radius_mm), z) for z in _LEVELS_MM]))
 
 
 def box(name: str, length_mm: float, width_mm: float) -> Indenter:
-    """A box, its flat face down, `length_mm` along x by `width_mm` along y."""
+    """Make a box with its flat face down, `length_mm` along x by `width_mm` along y."""
     corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1))) * (length_mm / 2, width_mm / 2)
     return Indenter(name, surface([level(corners, z) for z in _LEVELS_MM]))
 
 
 def bar(name: str, radius_mm: float, length_mm: float) -> Indenter:
-    """A cylinder that lies along x, with flat ends."""
+    """Make a cylinder that lies along x, with flat ends."""
     x, y, z = np.moveaxis(surface([level(circle(radius_mm), z) for z in (0.0, length_mm)]), -1, 0)
     return Indenter(name, np.stack((z - length_mm / 2, y, radius_mm - x), axis=-1))
 
 
 def cone(name: str, angle_deg: float) -> Indenter:
-    """A cone on its tip; `angle_deg` is the full angle there."""
+    """Make a cone on its tip; `angle_deg` is the full angle there."""
     slope = math.tan(math.radians(angle_deg) / 2)
     return Indenter(name, surface([level(circle(slope * z), z) for z in _LEVELS_MM]))
 
 
 def mesh(name: str, triangles_mm: F64) -> Indenter:
-    """A surface of triangles (float64 (N, 3, 3), N at least 1), moved along z until its lowest point has z = 0."""
+    """Make an indenter of triangles (float64 (N, 3, 3), N at least 1), shifted so that its lowest point has z = 0."""
     return Indenter(name, triangles_mm - (0.0, 0.0, float(triangles_mm[..., 2].min())))
 
 
@@ -160,10 +160,10 @@ def place(
     tilt_x_deg: float = 0.0,
     tilt_y_deg: float = 0.0,
 ) -> PlacedIndenter:
-    """Where an indenter is by the row of PRESSES.csv (docs/reference/calibration-files.md).
+    """Place an indenter as a row of PRESSES.csv states (docs/reference/calibration-files.md).
 
-    It is turned by yaw about z (from x towards y), then tilted about x, then about y, all through its origin, which is
-    put over (x, y); its lowest point, as it is then, lies `depth_mm` under the undeformed skin at (x, y).
+    Turn it by yaw about z (from x towards y), then tilt it about x, then about y, all through its origin, and shift the
+    origin over (x, y); its lowest point then lies `depth_mm` under the undeformed skin at (x, y).
     """
     a, b, c = (math.radians(angle) for angle in (yaw_deg, tilt_x_deg, tilt_y_deg))
     about_z = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
@@ -187,7 +187,7 @@ def level(outline: F64, z_mm: float) -> F64:
 
 
 def surface(rings: Sequence[F64]) -> F64:
-    """Join rings of as many corners (N, 3) each, counter-clockwise and the lowest first, and close both ends.
+    """Join rings of equally many corners (N, 3), counter-clockwise and the lowest first, and close both ends.
 
     Returns
     -------
@@ -205,7 +205,7 @@ def surface(rings: Sequence[F64]) -> F64:
 
 
 def _nearest(triangles: F64, *, of_each: bool = False) -> F64:
-    """The point (1, 3) that is nearest to the sensor's centre, or that of each triangle (N, 3)."""
+    """The point (1, 3) nearest to the sensor's centre O, or that of each triangle (N, 3)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     norm2 = np.maximum(np.einsum("ij,ij->i", normal, normal), np.finfo(float).tiny)
@@ -223,21 +223,21 @@ def _nearest(triangles: F64, *, of_each: bool = False) -> F64:
 
 
 def _share(p: F64, q: F64) -> F64:
-    """How far along each edge from p to q its point nearest to the origin lies, 0 to 1."""
+    """The position on each edge, 0 at p to 1 at q, of its point nearest to the origin."""
     edge = q - p
     length2 = np.maximum(np.einsum("ij,ij->i", edge, edge), np.finfo(float).tiny)
     return np.asarray(np.clip(-np.einsum("ij,ij->i", p, edge) / length2, 0, 1))
 
 
 def _upper_envelope(triangles: F64, x: F64, y: F64) -> F64:
-    """The highest z of triangles (N, 3, 3) over each point of a grid with axes x (cols,) and y (rows,); NaN beside."""
+    """The highest z of triangles (N, 3, 3) over each point of a grid with axes x (cols,) and y (rows,); NaN off all."""
     highest = np.full((len(y), len(x)), -np.inf)
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     col0, row0 = np.searchsorted(x, low[:, 0]), np.searchsorted(y, low[:, 1])
     cols = np.searchsorted(x, high[:, 0], "right") - col0
     counts = cols * (np.searchsorted(y, high[:, 1], "right") - row0)
     for some in _in_parts(counts):
-        # Every pair of a triangle and a cell in its bounding box.
+        # All pairs of a triangle and a cell in its bounding box.
         which = np.repeat(some, counts[some])
         k = np.arange(len(which)) - np.repeat(np.cumsum(counts[some]) - counts[some], counts[some])
         row, col = row0[which] + k // cols[which], col0[which] + k % cols[which]
@@ -253,7 +253,7 @@ def _upper_envelope(triangles: F64, x: F64, y: F64) -> F64:
 
 
 def _in_parts(counts: I64) -> list[I64]:
-    """Indices of all triangles in runs of about `_PAIRS` pairs."""
+    """Split the indices of all triangles into runs of about `_PAIRS` pairs."""
     ends = np.cumsum(counts) // _PAIRS
     return np.split(np.arange(len(counts)), np.flatnonzero(np.diff(ends)) + 1)
 

@@ -1,4 +1,4 @@
-"""Indenters to print, each on a stem that a press holds, as closed surfaces for STL files; and presses of them."""
+"""Make closed surfaces of indenters to print, each on a stem for a press to hold, and plan presses with them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tacshade_edge.core.calibration.indenters.indenter import SIDES, circle, lev
 from tacshade_edge.types import F64, freeze
 
 STEM_RADIUS_MM, LENGTH_MM = 4.0, 45.0
-"""Of every indenter, from its lowest point to the stem's end."""
+"""Radius of every stem, and length of every indenter from its lowest point to the stem's end."""
 
-_SHOULDER_MM = 6.0  # the shape goes straight up so far at least: no skin is pressed deeper
+_SHOULDER_MM = 6.0  # the shape goes straight up at least this far: no press is deeper
 _REACH_MM, _DEPTHS_MM = 9.0, (0.8, 1.6, 2.4, 3.2, 4.0)
-_NECK = 0.6  # of a small ball, in its radii
-_STEPS = 48  # of what is round from below
+_NECK = 0.6  # radius of a small ball's neck, in its radii
+_STEPS = 48  # rings of a shape that is round below
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,9 +28,9 @@ class Printable:
     ----------
     name : str
     entry : mapping
-        What INDENTERS.yaml has of it.
+        Its entry in INDENTERS.yaml.
     triangles_mm : float64 (N, 3, 3)
-        Corners counter-clockwise as seen from outside; its lowest point has z = 0, the stem points along z.
+        Corners counter-clockwise as seen from outside; the lowest point has z = 0, the stem points along z.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Printable:
 
 
 def printables() -> tuple[Printable, ...]:
-    """Make those that a calibration of a skin of 20 mm wants: balls, flat ends, a square, a lying bar, a cone."""
+    """Make the indenters for a skin of radius 20 mm: balls, flat ends, a square, a lying bar, a cone."""
     return (
         *(_ball(radius_mm) for radius_mm in (3.0, 6.0, 9.0)),
         *(_flat(radius_mm) for radius_mm in (3.0, 5.0)),
@@ -54,7 +54,7 @@ def printables() -> tuple[Printable, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A press to be taken: of which indenter, where and how deep; mm."""
+    """A press to take: name of the indenter, place and depth in mm."""
 
     name: str
     x_mm: float
@@ -63,9 +63,9 @@ class Planned:
 
 
 def planned_presses() -> tuple[Planned, ...]:
-    """Plan five presses of each of `printables`, one indenter after the other.
+    """Plan five presses with each of `printables`, one indenter after the other.
 
-    The places of all are a sunflower out to `_REACH_MM` (Vogel 1979), which each indenter has some of everywhere.
+    All places together form a sunflower out to `_REACH_MM` (Vogel 1979); those of each indenter spread over all of it.
     """
     names = [each.name for each in printables()]
     count, golden = len(names) * len(_DEPTHS_MM), math.pi * (3 - math.sqrt(5))
@@ -100,7 +100,7 @@ def _square(side_mm: float) -> Printable:
 
 
 def _bar(radius_mm: float, length_mm: float) -> Printable:
-    """Round below, and above its middle as wide as there."""
+    """A bar that is round below its axis and keeps its full width above."""
     entry: dict[str, str | float] = {"shape": "bar", "radius_mm": radius_mm, "length_mm": length_mm}
     polar = np.linspace(0, math.pi / 2, _STEPS).tolist()
     rings = [level(_rectangle(length_mm, 2 * radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar]
@@ -120,12 +120,12 @@ def _on_a_stem(name: str, entry: Mapping[str, str | float], rings: list[F64]) ->
     stem = [level(circle(STEM_RADIUS_MM), z) for z in (top_mm, LENGTH_MM)]
     triangles = surface([*rings, *stem])
     a, b, c = np.moveaxis(triangles, 1, 0)
-    solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12  # tips and lines have faces of no area
+    solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12  # tips and edges have faces without area
     return Printable(name, entry, triangles[solid])
 
 
 def _rectangle(length_mm: float, width_mm: float) -> F64:
-    """As many corners as a circle, on a rectangle around the origin, counter-clockwise from x as the circle's are."""
+    """Corners (SIDES, 2) on a rectangle around the origin, counter-clockwise from x, like `circle`."""
     angle = 2 * math.pi * np.arange(SIDES) / SIDES
     unit = np.column_stack((np.cos(angle), np.sin(angle)))
     on_square = unit / np.abs(unit).max(axis=1, keepdims=True)

@@ -1,1 +1,1 @@
-"""A press as its image shows it, and as a machine places it."""
+"""Presses as their images show them and as a machine places them."""

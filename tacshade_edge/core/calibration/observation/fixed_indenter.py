@@ -1,4 +1,4 @@
-"""Place and depth of a press from where a robot held the sensor: the indenter stands still in the base frame."""
+"""Compute place and depth of a press on a fixed indenter from the pose of the sensor that a robot holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.types import F64, freeze
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A press in the sensor frame, as PRESSES.csv has it; mm."""
+    """Place and depth of a press in the sensor frame, as in PRESSES.csv; mm."""
 
     x_mm: float
     y_mm: float
@@ -22,16 +22,16 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedIndenter:
-    """Where an indenter stands.
+    """An indenter fixed in the base frame.
 
     Attributes
     ----------
     point_mm : float64 (3,)
-        In the base frame: a ball's centre, or the lowest point of another.
+        In the base frame: a ball's centre, or another indenter's lowest point.
     ball_radius_mm : float
-        0 for another.
+        0 for another indenter.
     base_T_sensor : Rigid
-        At the press that stated it.
+        Pose of the sensor at the press with a stated place.
     """
 
     point_mm: F64
@@ -42,17 +42,17 @@ class FixedIndenter:
         freeze(self, "point_mm")
 
     def turned_deg(self, base_T_sensor: Rigid) -> float:
-        """How far the sensor is turned against the press that stated the place; degrees."""
+        """The angle between the sensor's orientation and that at the press with a stated place; degrees."""
         turn = self.base_T_sensor.rotation.T @ base_T_sensor.rotation
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 
     def touch(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Touch:
-        """The press of a sensor that is held there.
+        """The press of a sensor held at this pose.
 
         Raises
         ------
         ValueError
-            The indenter is beside the skin.
+            The indenter is not over the skin.
         """
         x_mm, y_mm, z_mm = (float(v) for v in base_T_sensor.inverse().apply(self.point_mm))
         lowest_mm = z_mm - self.ball_radius_mm
@@ -60,12 +60,12 @@ class FixedIndenter:
 
 
 def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
-    """Where an indenter stands that presses so; the inverse of `FixedIndenter.touch`.
+    """The indenter that makes the stated press; the inverse of `FixedIndenter.touch`.
 
     Raises
     ------
     ValueError
-        The press is beside the skin.
+        The press is not over the skin.
     """
     z_mm = _skin_z_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
     point_mm = base_T_sensor.apply(np.array((stated.x_mm, stated.y_mm, z_mm)))
@@ -73,7 +73,7 @@ def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, s
 
 
 def _skin_z_mm(x_mm: float, y_mm: float, skin_radius_mm: float) -> float:
-    """Of the undeformed skin."""
+    """The undeformed skin's z at (x, y), mm."""
     square = skin_radius_mm**2 - x_mm**2 - y_mm**2
     if not square > 0:
         raise ValueError(f"x {x_mm:.1f}, y {y_mm:.1f} mm lies outside a skin of radius {skin_radius_mm:g} mm")

@@ -1,4 +1,4 @@
-"""What the image of a press shows, beside what is stated of the press."""
+"""What the image of a press shows, next to the stated values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _USUAL_BALL_RADII = 0.3
 
 @dataclass(frozen=True, slots=True)
 class PressObservation:
-    """One press.
+    """The stated and observed values of one press.
 
     Attributes
     ----------
@@ -37,25 +37,25 @@ class PressObservation:
     change_grey, brightening_grey : float
         Greatest screened change χ and greatest screened brightening; grey levels, above 0.
     bright_mm2 : float
-        Skin that brightens by half of the greatest or more.
+        Area of skin that brightens by at least half of the greatest brightening.
     located_x_mm, located_y_mm : float
-        Where it brightens most.
+        Where the skin brightens most.
     radius_mm, depth_mm : float
-        As stated; the radius is that of a usual ball for another indenter.
+        Stated values; for another indenter, the radius is that of a usual ball.
     x_mm, y_mm : float or None
-        As stated.
+        Stated place.
     indenter : str
-        Its name; empty for a ball.
+        Name of the indenter; empty for a ball.
     touch_mm : float
-        Of another indenter the depth at which it first touches the skin.
+        Depth at which another indenter first touches the skin; 0 for a ball.
     reach_mm : float
-        Of another indenter how far beside (x, y) it may brighten the skin most; 0 for a ball.
+        Greatest distance from (x, y) at which another indenter may brighten the skin most; 0 for a ball.
     ball_factor : float
-        As `PressView.ball_factor`; NaN where no network saw a ball.
+        See `PressView.ball_factor`; NaN if no network saw a ball.
     misfit_ratio : float
-        As `PressView.misfit_ratio`.
+        See `PressView.misfit_ratio`.
     is_seen : bool
-        A network located it, far more exactly than the brightening does.
+        Whether a network located the press, which is far more exact than the brightening.
     """
 
     name: str
@@ -77,18 +77,18 @@ class PressObservation:
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """The stated place, or the located one."""
+        """The stated place (x, y), or else the located one; mm."""
         if self.x_mm is None or self.y_mm is None:
             return self.located_x_mm, self.located_y_mm
         return self.x_mm, self.y_mm
 
     def place_error_mm(self, x_mm: float, y_mm: float) -> float:
-        """How far the located place is from another, or from where an indenter there reaches."""
+        """Distance in mm from the located place to (x, y), less the reach of an indenter there."""
         return max(math.hypot(self.located_x_mm - x_mm, self.located_y_mm - y_mm) - self.reach_mm, 0.0)
 
 
 def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPress) -> PressObservation:
-    """Measure the change in the image of a press, by what prepares the sensor's images and by its grey maps."""
+    """Measure the change in the image of a press with the sensor's preprocessor and grey maps."""
     geometry = preprocessor.calibration.geometry
     reach = REACH_RADII * geometry.skin_radius_mm / (preprocessor.profile.stride_px * geometry.mm_per_px)
     maps = mapper.maps(preprocessor.preprocess(preprocessor.grey(press.image)))
@@ -121,7 +121,7 @@ def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPr
 
 
 def pictured_places(unloaded: Calibration, presses: Sequence[KnownPress]) -> F64:
-    """Where the images show the balls of presses: float64 (N, 2), x and y in mm in the sensor frame."""
+    """The places where the images show the balls of presses: float64 (N, 2), x and y in mm in the sensor frame."""
     preprocessor = Preprocessor(unloaded, PROFILE)
     mapper = GreyMapper(preprocessor)
     observed = [observe_press(preprocessor, mapper, press) for press in presses]
@@ -129,7 +129,7 @@ def pictured_places(unloaded: Calibration, presses: Sequence[KnownPress]) -> F64
 
 
 def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -> PlacedIndenter:
-    """Where the indenter of a press is, which is no ball. Raises ConfigError where no place is stated."""
+    """The placed indenter of a press without a ball. Raises ConfigError if the press states no place."""
     if press.x_mm is None or press.y_mm is None:
         raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both: they are optional only for a ball")
     angles = press.yaw_deg, press.tilt_x_deg, press.tilt_y_deg
@@ -137,25 +137,25 @@ def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -
 
 
 def _reach_mm(placed: PlacedIndenter, rays: DiscRays, geometry: Geometry) -> float:
-    """How far beside (x, y) an indenter lies inside the undeformed skin, in sight; 0 where it does not."""
+    """Greatest distance from (x, y) at which an indenter is visible inside the undeformed skin, mm; 0 if nowhere."""
     height = placed.height_mm(rays, geometry)
     x, y, _ = skin_points(height, rays, geometry)[np.isfinite(height)].T
     return float(np.hypot(x - placed.x_mm, y - placed.y_mm).max(initial=0.0))
 
 
 def with_stated_place(observations: Sequence[PressObservation]) -> list[PressObservation]:
-    """Those whose x and y are stated."""
+    """The observations with stated x and y."""
     return [o for o in observations if o.x_mm is not None and o.y_mm is not None]
 
 
 def position_mae_mm(observations: Sequence[PressObservation]) -> float:
-    """Mean distance of the located from the stated places; 0 where none is stated."""
+    """Mean distance of the located from the stated places, mm; 0 if none is stated."""
     errors = [o.place_error_mm(*o.place_mm) for o in with_stated_place(observations)]
     return float(np.mean(errors)) if errors else 0.0
 
 
 def first_touch_mm(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
-    """Depth (as PRESSES.csv has it) at which each indenter first touches: 0 in the middle, below 0 beside it."""
+    """Depth (as in PRESSES.csv) at which each indenter first touches, mm: for a ball 0 on the axis, less off it."""
     r = geometry.skin_radius_mm
     places = np.array([o.place_mm for o in observations])
     radius = np.array([o.radius_mm for o in observations])

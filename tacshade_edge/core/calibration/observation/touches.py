@@ -1,7 +1,7 @@
-"""Where a sensor stands under a machine that presses it, from places at which a ball first touched the skin.
+"""Find the pose of a sensor under a machine that presses it, from places at which a ball first touched the skin.
 
-The sensor's axis is upright: the sensor frame is the machine's, moved and turned about z by a yaw. The head's place is
-that of the ball's lowest point.
+The sensor's axis is upright: the sensor frame is the machine's, shifted and turned about z by a yaw. The head's place
+is that of the ball's lowest point.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
 
 _ITERATIONS = 20
-# Touches beside a sphere by so much (RMS, skin radii) are no touches of that skin; and pictured places so far from
-# where the ball was (RMS, in parts of how far it was from the axis) are none of this sensor.
+# Touches that miss a sphere by more than the first (RMS, skin radii) are not of that skin; pictured places further than
+# the second from where the ball was (RMS, as part of its RMS distance from the axis) are not of this sensor.
 _MOST_RMS, _MOST_PICTURED_RMS = 0.004, 0.2
-_PICTURED_SCALE = (0.6, 1.6)  # of where it was over where it is pictured
+_PICTURED_SCALE = (0.6, 1.6)  # true distance from the axis over the pictured one
 
 
 def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -> tuple[F64, float]:
@@ -37,12 +37,12 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
     -------
     centre_mm : float64 (3,)
     rms_mm : float
-        Of the touches' distances to that skin.
+        RMS distance of the touches from that skin.
 
     Raises
     ------
     ConfigError
-        They do not lie on such a skin.
+        The touches do not lie on such a skin.
     """
     balls_mm = touches_mm + np.array((0.0, 0.0, ball_radius_mm))
     reach_mm = skin_radius_mm + ball_radius_mm
@@ -59,19 +59,19 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
 
 
 def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
-    """Fit how far the sensor frame is turned about z in the machine's, from x towards y.
+    """Fit the angle by which the sensor frame is turned about z in the machine's, from x towards y.
 
     Parameters
     ----------
     places_mm : float64 (N, 2)
-        Of the ball in the machine's frame, from the skin's axis.
+        Places of the ball in the machine's frame, relative to the skin's axis.
     pictured_mm : float64 (N, 2)
-        Where the pictures show it, in the sensor frame.
+        Places where the pictures show the ball, in the sensor frame.
 
     Returns
     -------
     float
-        rad, -π to π.
+        Angle in rad, -π to π.
 
     Raises
     ------
@@ -95,12 +95,12 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where the sensor stands.
+    """The pose of a sensor under a machine.
 
     Attributes
     ----------
     machine_T_sensor : Rigid
-        z upwards in both.
+        z points upwards in both frames.
     skin_radius_mm : float
     """
 
@@ -109,31 +109,31 @@ class Stand:
 
     @property
     def yaw_deg(self) -> float:
-        """Of the sensor frame in the machine's, from x towards y."""
+        """Yaw of the sensor frame in the machine's, from x towards y."""
         rotation = self.machine_T_sensor.rotation
         return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
 
     @property
     def indenter_yaw_deg(self) -> float:
-        """Of what keeps the machine's directions, in the sensor frame."""
+        """Yaw in the sensor frame of an indenter aligned with the machine's axes."""
         return -self.yaw_deg
 
     def head_mm(self, x_mm: float, y_mm: float, depth_mm: float) -> tuple[float, float, float]:
-        """Place in the machine's frame of a lowest point that is so deep, as PRESSES.csv has it, at (x, y)."""
+        """Place in the machine's frame, mm, of an indenter's lowest point at (x, y) and a depth as in PRESSES.csv."""
         skin_z_mm = math.sqrt(max(self.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
         x, y, z = self.machine_T_sensor.apply(np.array((x_mm, y_mm, skin_z_mm - depth_mm))).tolist()
         return x, y, z
 
 
 def stand(centre_mm: F64, yaw_rad: float, skin_radius_mm: float) -> Stand:
-    """From `skin_centre` and `yaw_of`."""
+    """The pose from the results of `skin_centre` and `yaw_of`."""
     return Stand(shift(*centre_mm.tolist()) @ turn((0.0, 0.0, yaw_rad)), skin_radius_mm)
 
 
 def first_touch_mm(
     indenter: Indenter | float, skin_radius_mm: float, x_mm: float, y_mm: float, yaw_deg: float = 0.0
 ) -> float:
-    """Depth, as PRESSES.csv has it, at which an indenter first touches the undeformed skin: at most 0 of a ball.
+    """Depth in mm, as in PRESSES.csv, at which an indenter first touches the undeformed skin: at most 0 for a ball.
 
     Parameters
     ----------
@@ -149,14 +149,14 @@ def first_touch_mm(
 
 
 def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
-    """A press whose depth was stated as travel from first touch, with the depth that PRESSES.csv has.
+    """Convert the depth of a press from travel since first touch to the depth of PRESSES.csv.
 
-    It is 0 or less where the lowest point of what presses is still above the skin at (x, y).
+    The result is 0 or less if the indenter's lowest point is still above the skin at (x, y).
 
     Raises
     ------
     ConfigError
-        No place is stated, or one that is not over the skin.
+        The press states no place, or one that is not over the skin.
     """
     if press.x_mm is None or press.y_mm is None:
         raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both with --depth-from-touch")

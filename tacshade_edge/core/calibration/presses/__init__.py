@@ -1,1 +1,1 @@
-"""What a press shows, whether it agrees with what is stated of it, and which presses are used."""
+"""Compare presses with their stated values, and select those to use."""

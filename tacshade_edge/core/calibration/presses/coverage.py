@@ -1,4 +1,4 @@
-"""Do the presses cover what a calibration must cover: the disc, depths, ball radii?"""
+"""Check that the presses cover the disc, the depths and the ball radii."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 
 from tacshade_edge.types import F64, Geometry
 
-# As docs/how-to/calibration.md advises.
+# docs/how-to/calibration.md advises at least this many.
 _FEW_PRESSES = 16
-# Of the visible circle's radius: how far presses should reach, their least RMS distance from their middle, and how far
-# one must lie on each side.
+# As part of the visible circle's radius: reach of the presses, their least RMS distance from their mean, and least
+# reach on each side.
 _REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
-# Of the skin's radius: depths and ball radii to advise, and the depth that one press should reach at least.
+# As part of the skin's radius: depths and ball radii to advise, and the least depth of the deepest press.
 _DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
-# The greatest over the least.
+# Least ratio of the greatest to the smallest.
 _DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
-# Places along the disc's diameter and depths, of which the next press is one.
+# Grid of candidates for the next press: places along the disc's diameter, and depths.
 _GRID_PLACES, _GRID_DEPTHS = 11, 5
 
 
 class Pressed(Protocol):
-    """What counts of a press: place, depth and ball radius in mm, and the indenter's name, empty for a ball."""
+    """What counts in a press: place, depth and ball radius in mm, and the indenter's name, empty for a ball."""
 
     @property
     def place_mm(self) -> tuple[float, float]: ...
@@ -37,7 +37,7 @@ class Pressed(Protocol):
 
 
 def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[str, ...]:
-    """What is missing in the presses, a line each."""
+    """A line of advice for each gap in the presses."""
     places = np.array([press.place_mm for press in presses])
     depths = np.array([press.depth_mm for press in presses])
     few = len(presses) < _FEW_PRESSES
@@ -51,7 +51,7 @@ def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[st
 
 
 def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
-    """Which press would help most next, in a line; there is one at least."""
+    """The most useful next press, in a line. Needs at least one press."""
     x_mm, y_mm, depth_mm = widest_gap(presses, geometry)
     where = f"around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep"
     if not missing_coverage(presses, geometry):
@@ -61,7 +61,7 @@ def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
 
 
 def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
-    """The press that is farthest from the nearest that was taken, over the places and depths that should be covered.
+    """Find the place and depth furthest from any press taken, among those that the presses should cover.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, f
 
 
 def _visible_mm(geometry: Geometry) -> float:
-    """Radius of the visible circle, in its plane."""
+    """Radius of the visible circle in its plane, mm."""
     return geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
 
 

@@ -1,9 +1,9 @@
-"""Is the zero of the stated depths the one that docs/reference/calibration-files.md asks for?
+"""Check that the stated depths count from the zero that docs/reference/calibration-files.md defines.
 
-A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths over the true ones lie
-on a line through 0. Where the stated ones lie on another line, their zero is off. Depths stated as travel from first
-touch are off by what a press lies beside the middle: how much of that they are off by is a coefficient beside the
-line's two, 0 or 1. Shallow presses decide, since an error of a depth grows with it.
+A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths against the true ones
+lie on a line through 0. If the stated ones lie on another line, their zero is off. Depths stated as travel from first
+touch are off by an amount that grows with the distance from the middle; the share of that amount in the error, 0 or 1,
+is a third coefficient. Shallow presses decide, since the error of a depth grows with it.
 
 References
 ----------
@@ -21,17 +21,17 @@ from tacshade_edge.core.calibration.refit.gain import Ball, Placed
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import F64, Geometry
 
-# An offset counts where it is so many mm on the nominal skin and as many of its standard deviations, and the line's
-# slope is one that the network has on sensors of its kind. Of good tables it is 0.26 mm at most. What this finds, and
-# finds wrongly: tools/studies/calibration.py.
+# An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the line's slope is one that
+# the network has on known kinds of sensors. Good tables have 0.26 mm at most. tools/studies/calibration.py measures
+# what this finds, rightly and wrongly.
 _LEAST_OFFSET_MM, _OFFSET_DEVIATIONS, _SLOPES = 0.3, 3.0, (0.85, 1.15)
-# Depths are taken for travel from first touch from so great a coefficient on, when it is as many of its standard
-# deviations; beyond the greater ones a table is refused.
+# A coefficient above the first value, and this many standard deviations, is a hint that depths are travel from first
+# touch; above the third and fourth the table is rejected.
 _HINTED_TRAVEL, _HINTED_DEVIATIONS, _SURE_TRAVEL, _SURE_DEVIATIONS = 0.65, 3.0, 0.7, 4.0
-# An error of a depth: a part of it, and so many mm on the nominal skin.
+# Error of a depth: a part of it, and mm on the nominal skin; and the least deviation relative to that.
 _ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
 _HUBER, _ITERATIONS = 1.5, 25
-# Fewer presses show too little; of fewer than the second, nothing is sure.
+# Fewer presses show too little; with fewer than the second, nothing is certain.
 _LEAST_PRESSES, _LEAST_SURE = 12, 16
 TRAVEL_ADVICE = (
     "pass --depth-from-touch, or state the undeformed skin's z at (x, y) minus the z of the indenter's "
@@ -40,14 +40,14 @@ TRAVEL_ADVICE = (
 
 
 def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
-    """Another zero of the depths that fits clearly better than the stated one, for a person; empty when none does.
+    """A message about another zero of the depths that fits clearly better than the stated one; empty if none does.
 
     Parameters
     ----------
     found_mm : sequence of float
-        Of each press the greatest h that a network finds that was not refitted.
+        For each press, the greatest h that a network finds without a refit.
     placed : sequence of Ball or PlacedIndenter
-        Where the indenters are by what is stated of them.
+        The indenters at their stated places.
     geometry : Geometry
     """
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
@@ -67,7 +67,7 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
 
 
 def travel_mistake(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
-    """Depths that are surely travel from first touch, for a person; empty elsewhere. Parameters as of `zero_hint`."""
+    """A message if the depths are certainly travel from first touch; empty otherwise. Takes what `zero_hint` takes."""
     found = np.asarray(found_mm) / skin_scale(geometry)
     if len(found) < _LEAST_SURE or np.ptp(found) == 0:
         return ""
@@ -78,7 +78,7 @@ def travel_mistake(found_mm: Sequence[float], placed: Sequence[Placed], geometry
 
 
 def _travel_share(found: F64, placed: Sequence[Placed], geometry: Geometry) -> tuple[float, float]:
-    """How much the stated depths are travel from first touch, 0 to 1 but for noise, and its standard deviation."""
+    """The share of travel from first touch in the stated depths, 0 to 1 plus noise, and its standard deviation."""
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
     missing = stated - np.array([_read_as_travel(at, r).depth_max_mm(r) for at in placed]) / scale
@@ -90,7 +90,7 @@ def _travel_share(found: F64, placed: Sequence[Placed], geometry: Geometry) -> t
 
 
 def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
-    """Coefficients (C,) of the columns of x (N, C), whose first is what a network finds, and their deviations (C,)."""
+    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths, and their deviations (C,)."""
     trust = 1 / np.hypot(_ERROR_MM, _ERROR_PART * x[:, 0])
     weight = trust * trust
     for _ in range(_ITERATIONS):
@@ -105,7 +105,7 @@ def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
 
 
 def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:
-    """Where a ball or another indenter is if its depth was stated as travel from first touch."""
+    """The place of a ball or another indenter if its stated depth is travel from first touch."""
     if not isinstance(ball, Ball):
         return ball.deeper(ball.first_touch_mm(skin_radius_mm))
     beside2 = ball.x_mm**2 + ball.y_mm**2

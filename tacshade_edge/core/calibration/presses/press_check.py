@@ -1,4 +1,4 @@
-"""Is an image a press that `calibrate` can use? Answered while the indenter is still there."""
+"""Check that `calibrate` can use the image of a press, while the indenter is still there."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from tacshade_edge.types import U8, Calibration
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What an image of a press shows.
+    """The judgement on an image of a press.
 
     Attributes
     ----------
     unusable : Reason or None
-        Why no image of the sensor can be judged by it; the others say nothing then.
+        Why the image is invalid, which leaves the other fields without meaning; None if valid.
     moved : str
-        How the camera moved too far since the references; empty when it did not.
+        Message that the camera moved too far since the references; empty if it did not.
     changed : str
-        What changed less; empty when nothing did.
+        Message about a smaller change; empty if none.
     in_contact : bool
     """
 
@@ -48,9 +48,9 @@ class PressCheck:
     Parameters
     ----------
     unloaded : Calibration
-        From the references alone.
+        The calibration from the references alone.
     network : Network, optional
-        Of `GRADED_PROFILE`: with it, a press is compared with what is stated of it.
+        The network of `GRADED_PROFILE`, to compare a press with its stated values.
 
     Attributes
     ----------
@@ -68,12 +68,12 @@ class PressCheck:
         self._reference = registration.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
 
     def located_mm(self, image: U8, depth_mm: float) -> tuple[float, float]:
-        """Where a ball presses, x and y in mm, as `calibrate` finds it."""
+        """The place (x, y) of a pressed ball in mm, as `calibrate` finds it."""
         press = KnownPress("", image, 1.0, depth_mm, None, None)
         return observe_press(self._preprocessor, self._mapper, press).place_mm
 
     def question(self, press: KnownPress) -> str:
-        """What the picture of a press shows otherwise than stated; empty without a network."""
+        """A question about the value that differs from the image, as in `press_question`; empty without a network."""
         view = self._viewer.view(press) if self._viewer else None
         return question(view, press, self.geometry) if view else ""
 

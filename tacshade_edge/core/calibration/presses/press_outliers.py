@@ -1,4 +1,4 @@
-"""Presses that do not agree with what is stated of them."""
+"""Find presses that disagree with their stated values."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from tacshade_edge.core.calibration.presses.travel_fit import OUTLIER_DEVIATIONS
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import Geometry
 
-# A place is an outlier when it is further off than so many times the median press, with bounds in mm on the nominal
-# skin. What this finds, and finds wrongly: tools/studies/calibration.py.
+# A place is an outlier beyond this many times the median error, with bounds in mm on the nominal skin.
+# tools/studies/calibration.py measures what this finds, rightly and wrongly.
 _PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
-# The same where a network located the presses.
+# The same for presses located by a network.
 _SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
-# A ball is, when it looks larger or smaller than the median press by so many robust deviations of the logarithms, and
-# by this factor at least; of shallower presses (mm on the nominal skin) the radius is not seen.
+# A ball is an outlier if its size differs from the median press's by this many robust deviations of the logarithms and
+# at least this factor; shallower presses (mm on the nominal skin) do not show the radius.
 _BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
-# A small ball may look larger than it is: that counts where the stated radius fits so many times worse.
+# A small ball may look larger than it is, so a larger look counts only if the stated radius fits this many times worse.
 _LARGER_MISFIT_RATIO = 4.0
-# With fewer presses no fit shows which is wrong.
+# With fewer presses, no fit shows which one is wrong.
 _LEAST_PRESSES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A press that does not agree: its index, and why, for a person."""
+    """A press that disagrees: its index and the reason, as a message."""
 
     index: int
     reason: str
 
 
 def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[Outlier, ...]:
-    """Presses whose place, ball, or depth predicted from all the others, is far from what is stated."""
+    """Presses with a stated place, ball or depth far from the shown one; all others together predict the depth."""
     reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
-        # Without the worst, what is left may show more: many wrong presses widen the deviation that hides them.
+        # Repeat without the worst: many wrong presses widen the deviation and so hide each other.
         rest = [k for k in range(len(observations)) if k not in reasons]
         if len(rest) < _LEAST_PRESSES:
             break
@@ -63,8 +63,8 @@ def _depth_reason(press: PressObservation, error_mm: float) -> str:
 
 
 def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
-    """Presses far from where they are stated, beyond what all of them are."""
-    errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 where no place is stated
+    """Presses much further from their stated places than most."""
+    errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 if no place is stated
     scale = skin_scale(geometry)
     reasons: dict[int, str] = {}
     for is_seen, medians, least_mm in ((True, _SEEN_MEDIANS, _SEEN_LEAST_MM), (False, _PLACE_MEDIANS, _PLACE_LEAST_MM)):
@@ -77,7 +77,7 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
 
 
 def _of_another_size(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
-    """Balls that look larger or smaller than stated, against what all of them do."""
+    """Balls that look larger or smaller than stated, compared with the median ball."""
     logs = {k: math.log(o.ball_factor) for k, o in enumerate(observations) if math.isfinite(o.ball_factor)}
     if len(logs) < _LEAST_PRESSES:
         return {}
@@ -94,7 +94,7 @@ def _of_another_size(observations: Sequence[PressObservation], geometry: Geometr
 
 
 def _ball_reason(press: PressObservation, factor: float) -> str:
-    """For a person: the ball of a press looks so many times as large as stated."""
+    """A message that the ball of a press looks `factor` times as large as stated."""
     asked = ""
     if factor < 1:
         asked = f": is {press.radius_mm:g} mm its diameter?"

@@ -1,4 +1,4 @@
-"""Is a press what is stated of it? Asked of the person while the indenter is still there, by its picture alone."""
+"""Ask the user about a press that differs from its stated values, while the indenter is still there."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from tacshade_edge.core.calibration.presses.press_view import PressView
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import Geometry
 
-# What a network sees over what is right is within these on sensors of both families. A larger ball is asked about where
-# the stated one fits so many times worse; the radius of a shallower press (mm on the nominal skin) is not seen.
+# Ratios of seen to true sizes are within these on sensors of both families. A larger ball raises a question only if the
+# stated one fits this many times worse; shallower presses (mm on the nominal skin) do not show the radius.
 _BALL_FACTORS, _MISFIT_RATIO, _BALL_DEPTH_MM = (0.7, 2.0), 4.0, 0.8
-# A place is found within 1.2 mm on the nominal skin.
+# The network finds a place within 1.2 mm on the nominal skin.
 _PLACE_MM = 2.5
 _DEPTH_FACTORS = (0.33, 2.5)
 
 
 def question(view: PressView, press: KnownPress, geometry: Geometry) -> str:
-    """What the picture shows otherwise than stated, as a question; empty where nothing is far off."""
+    """A question about the value that differs from the image; empty if none differs by much."""
     scale = skin_scale(geometry)
     if not _DEPTH_FACTORS[0] < view.depth_mm / press.depth_mm < _DEPTH_FACTORS[1] and press.depth_mm > 0.5 * scale:
         return f"looks about {view.depth_mm:.1f} mm deep; is the depth of {press.depth_mm:g} mm right?"

@@ -1,4 +1,4 @@
-"""The presses that a calibration is fitted to, and why the others are left out."""
+"""Select the presses for a calibration's fit, with reasons for leaving out the others."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration, Geometry
 
 MIN_PRESSES = 8
-# With a greater part of the presses left out, what is stated of them is wrong as a whole.
+# If more of the presses disagree, the whole table is wrong.
 _MAX_LEFT_OUT = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """The presses to fit, what their images show, and warnings about all of them."""
+    """The presses to fit, their observations, and warnings about all presses."""
 
     presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
@@ -36,22 +36,22 @@ class Selection:
 
 
 def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
-    """Leave out presses without contact, of a camera that moved, or that disagree with what is stated of them.
+    """Leave out presses without contact, with a moved camera, or that disagree with their stated values.
 
     Parameters
     ----------
     unloaded : Calibration
-        From the references.
+        The calibration from the references alone.
     presses : sequence of KnownPress
     network : Network, optional
-        Of `GRADED_PROFILE`: what it sees says whether something touches and where, and depths, balls and skin of
-        another size than stated are found too.
+        The network of `GRADED_PROFILE`: it shows whether and where something touches, and detects wrong stated sizes of
+        depths, balls or skin.
 
     Raises
     ------
     ConfigError
-        A gross mistake of the whole table or of what is stated of the sensor; too few presses, too many to leave
-        out, or one that cannot be a press of this sensor.
+        The whole table or the sensor's description has a gross mistake, presses are too few, too many are left out, or
+        one cannot be a press of this sensor.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 are better)")
@@ -102,7 +102,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
 def _polarity_mistake(
     unloaded: Calibration, presses: Sequence[KnownPress], observations: Sequence[PressObservation]
 ) -> str:
-    """The other polarity, by where the skin brightens; empty when it is the stated one."""
+    """A hint at the other polarity, from where the skin brightens; empty if the stated one fits."""
     other = replace(unloaded, polarity="dark" if unloaded.polarity == "bright" else "bright")
     preprocessor = Preprocessor(other, PROFILE)
     mapper = GreyMapper(preprocessor)
@@ -116,18 +116,18 @@ def _gross_mistakes(
     views: Sequence[PressView | None] | None,
     observations: Sequence[PressObservation],
 ) -> tuple[str, ...]:
-    """What is wrong with all presses alike, or with the size of the skin; empty when nothing is."""
+    """Mistakes that all presses share, or in the size of the skin; empty if none."""
     if views is None:
         return table_hints(observations, geometry)
     shown = shown_sizes(presses, views)
     mistakes = unit_mistake(shown), axes_hint(observations, geometry)
-    if not any(mistakes):  # with a wrong unit or place, other sizes mean nothing
+    if not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
         mistakes = (size_mistake(shown, observations, geometry), "")
     return tuple(mistake for mistake in mistakes if mistake)
 
 
 def _check_press(calibration: Calibration, press: KnownPress) -> None:
-    """Refuse what cannot be a press of this sensor."""
+    """Raise ConfigError if this cannot be a press of the sensor."""
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""What a learned profile sees of a press, without a refit: whether something touches, where, and how large a ball."""
+"""Measure a press by a learned profile, without a refit: is there a contact, where, and how large is the ball?"""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 
-# Radii to try, as parts of the stated one, which is in the middle; no misfit is distinguished from this one.
+# Radii to try, as multiples of the stated one, which is in the middle; and the floor for a misfit.
 _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
 
@@ -34,12 +34,12 @@ class PressView:
     depth_mm : float
         Greatest height in the contact.
     x_mm, y_mm : float
-        Where the indenter is, its radius and depth being those stated.
+        Place of the indenter, given its stated radius and depth.
     ball_factor : float
-        The radius, as a part of the stated one, whose surface is most like the heights in the contact, at any place and
-        any factor on the heights; NaN where no ball presses.
+        The radius, as a multiple of the stated one, that fits the heights in the contact best, at any factor on the
+        heights; NaN for another indenter.
     misfit_ratio : float
-        How much worse the stated radius fits: 1 where it fits best.
+        Misfit of the stated radius over that of the best: 1 if the stated one fits best.
     """
 
     depth_mm: float
@@ -50,15 +50,15 @@ class PressView:
 
 
 class PressViewer:
-    """Looks at presses of one sensor.
+    """Measures presses of one sensor.
 
     Parameters
     ----------
     unloaded : Calibration
-        From the references alone.
+        The calibration from the references alone.
     profile : Profile
     network : Network
-        Of that profile.
+        The network of that profile.
     """
 
     def __init__(self, unloaded: Calibration, profile: Profile, network: Network) -> None:
@@ -67,11 +67,11 @@ class PressViewer:
         self._solver = LearnedSolver(self._preprocessor, network)
 
     def view(self, press: KnownPress) -> PressView | None:
-        """What is seen; None where no contact is."""
+        """The view of a press; None if the network sees no contact."""
         return view_of(self._inverse(press.image), self._geometry, press)
 
     def touches(self, image: U8) -> bool:
-        """Whether a contact is seen in an image."""
+        """Whether the network sees a contact in an image."""
         return bool(np.count_nonzero(_contact(self._inverse(image))) >= gain.LEAST_CELLS)
 
     def _inverse(self, image: U8) -> Inverse:
@@ -79,7 +79,7 @@ class PressViewer:
 
 
 def view_of(inverse: Inverse, geometry: Geometry, press: KnownPress) -> PressView | None:
-    """What a network's answer says of a press; None where it sees no contact."""
+    """The view of a press from a network's answer; None if it sees no contact."""
     contact = _contact(inverse)
     if np.count_nonzero(contact) < gain.LEAST_CELLS:
         return None
@@ -98,7 +98,7 @@ def view_of(inverse: Inverse, geometry: Geometry, press: KnownPress) -> PressVie
 
 
 def as_seen(observation: PressObservation, view: PressView | None) -> PressObservation:
-    """The same, located by a network where that sees a contact."""
+    """The observation with the place that the network saw, if it saw a contact."""
     if view is None:
         return observation
     return replace(
@@ -117,7 +117,7 @@ def _contact(inverse: Inverse) -> Bool:
 
 
 def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> tuple[float, float]:
-    """The stated place, moved by what the middle of the heights is beside that of the indenter's surface."""
+    """The stated place, shifted by the difference between the centroids of the heights and the indenter's surface."""
     placed = placed_press(geometry, inverse, press)
     found = np.where(_contact(inverse), inverse.height_mm, np.float32(0))
     middle = _middle(found, geometry)
@@ -131,7 +131,7 @@ def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> 
 
 
 def _middle(height_mm: F32, geometry: Geometry) -> F64:
-    """Mean x and y of the skin, weighted by its height, where that is above 0."""
+    """Mean x and y of the skin where its height is above 0, weighted by the height; mm."""
     height = np.maximum(height_mm, np.float32(0))
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(height)), geometry)
     use = (height > 0) & rays.inside
@@ -140,7 +140,7 @@ def _middle(height_mm: F32, geometry: Geometry) -> F64:
 
 
 def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress) -> list[float]:
-    """Of each radius tried the part of the heights in the contact, in squares, that its surface does not explain."""
+    """For each radius tried, the part of the squared heights in the contact that its surface does not explain."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     use = _contact(inverse)
     found, inside = inverse.height_mm[use].astype(np.float64), rays.inside[use]

@@ -1,7 +1,7 @@
-"""Are depths, balls and skin as large as they are stated? What a learned profile sees of them, without a refit.
+"""Check the stated sizes of depths, balls and skin by a learned profile, without a refit.
 
-A network is off on a sensor by a factor that hardly changes within it (`gain`), so the greatest height that it finds
-shows a wrong unit, and how the height falls off around that, at any factor, shows the radius of a ball.
+A network is off on a sensor by a nearly constant factor (`gain`), so the greatest height that it finds shows a wrong
+unit, and the fall of the height around that, at any factor, shows the radius of a ball.
 """
 
 from __future__ import annotations
@@ -17,37 +17,37 @@ from tacshade_edge.core.calibration.observation.press_observation import PressOb
 from tacshade_edge.core.calibration.presses.press_view import PressView
 from tacshade_edge.types import F64, Geometry
 
-# Fewer presses show nothing of all of them; nor does a network that sees a smaller part of them.
+# With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
-# Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.79 to 1.6 and places
-# 0.95 to 1.05.
+# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6, places 0.95 to
+# 1.05.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.8, 1.85)
-# Where all depths are stated too great by a constant, balls look smaller, shallow ones most, and depths as much so.
-# Without that balls are 0.95 and more of good tables, and 0.83 and less of diameters. Over the depths they are 0.96 and
-# more where those are 0.7 or 1 mm too great, and 0.82 and less of diameters.
+# If all stated depths are too great by a constant, balls look smaller, most of all at shallow presses, and depths as
+# much. Without that (slope), balls are 0.95 or more in good tables, 0.83 or less for diameters. Balls over depths are
+# 0.96 or more for depths 0.7 or 1 mm too great, 0.82 or less for diameters.
 _LEAST_BALL_SLOPE, _LEAST_BALL_PER_DEPTH = 0.9, 0.9
 _PLACE_FACTORS = (0.6, 1.4)
-# Places that lie nearer to the middle than this, in skin radii (RMS), show no factor: a place is found within 1 mm.
+# Places nearer to the middle than this (RMS, skin radii) show no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
-# Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
+# Without places: if twice the skin's radius is stated, balls look three or more times as large, and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
 
 
 @dataclass(frozen=True, slots=True)
 class ShownSizes:
-    """What the images show over what is stated, the median of all presses; NaN where too few show it.
+    """Median ratio of shown to stated sizes over all presses; NaN if too few show it.
 
     Attributes
     ----------
     depth : float
-        Of the depths.
+        Ratio of the depths.
     ball : float
-        Of the balls' radii.
+        Ratio of the balls' radii.
     ball_slope : float
-        The same whatever constant all depths are off by: what shows is the product of radius and depth, so its slope
-        over the stated depth; NaN too where the depths are equal.
+        Ratio of the radii despite a constant offset of all depths: the image shows radius times depth, so this is the
+        slope of that over the stated depth; also NaN if the depths are equal.
     """
 
     depth: float
@@ -56,7 +56,7 @@ class ShownSizes:
 
 
 def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]) -> ShownSizes:
-    """Compare what a network sees of the presses with what is stated of them."""
+    """Compare the sizes that a network sees with the stated ones."""
     seen = [(press, view) for press, view in zip(presses, views, strict=True) if view is not None]
     depths = [view.depth_mm / press.depth_mm for press, view in seen]
     balls = [(press.depth_mm, view.ball_factor) for press, view in seen if math.isfinite(view.ball_factor)]
@@ -81,7 +81,7 @@ def theil_sen_slope(x: F64, y: F64) -> float:
 
 
 def unit_mistake(shown: ShownSizes) -> str:
-    """Another unit of the depths, for a person; empty when there is none."""
+    """A message about a wrong unit of the depths; empty if the unit is right."""
     if not shown.depth > _UNIT_FACTOR:
         return ""
     unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / shown.depth)))
@@ -92,7 +92,7 @@ def unit_mistake(shown: ShownSizes) -> str:
 
 
 def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], geometry: Geometry) -> str:
-    """A wrong size of the skin or of all balls, for a person; empty when there is none."""
+    """A message about a wrong size of the skin or of all balls; empty if both are right."""
     places = _place_factor(observations, geometry.skin_radius_mm)
     skin = math.nan
     if math.isfinite(places):
@@ -117,7 +117,7 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
 
 
 def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: float) -> float:
-    """How far from the middle the images show balls, over how far is stated; NaN where too little is stated."""
+    """Ratio of the balls' shown to stated distances from the middle; NaN if too little is stated."""
     balls = [o for o in observations if o.x_mm is not None and not o.indenter]
     if len(balls) < _LEAST_PRESSES:
         return math.nan

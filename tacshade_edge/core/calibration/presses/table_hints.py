@@ -1,4 +1,4 @@
-"""Mistakes of a whole table of presses: another unit, other axes, another polarity."""
+"""Detect mistakes in a whole table of presses: another unit, other axes, another polarity."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from tacshade_edge.core.calibration.observation.press_observation import PressOb
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import Geometry, Polarity
 
-# log(depth) of any sensor from log χ alone, on the nominal skin: coarse, and enough for a wrong unit.
+# log(depth) of any sensor from log χ alone, on the nominal skin: coarse, but enough to detect a wrong unit.
 _DEPTH_OF_CHANGE = -1.61, 1.3
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
-# Other axes are hinted at when they leave less than this part of an error of so many mm on the nominal skin.
+# Suggest other axes if they leave less than this part of an error of at least this many mm on the nominal skin.
 _AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
 _AXES_LEAST_PRESSES = 4
-# The other polarity is, when it leaves less than this part of an error of at least that part of how far the presses lie
-# from the middle.
+# Suggest the other polarity if it leaves less than the first part of an error that is at least the second part of the
+# presses' distance from the middle.
 _POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
-# x and y as they would be read: x is a·x + b·y, y is c·x + d·y.
+# Other readings of x and y: x is a·x + b·y, y is c·x + d·y.
 _AXES = {
     "x and y are swapped": (0, 1, 1, 0),
     "x has the opposite sign": (-1, 0, 0, 1),
@@ -37,17 +37,17 @@ _AXES = {
 
 
 def table_hints(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
-    """Other readings of the whole table that fit clearly better than the stated one."""
+    """Hints at other readings of the whole table that fit clearly better than the stated one."""
     return tuple(hint for hint in (_unit_hint(observations, geometry), axes_hint(observations, geometry)) if hint)
 
 
 def polarity_hint(observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity) -> str:
-    """The other polarity, where the presses then lie where they are stated; empty where they do as it is.
+    """A hint at the other polarity, if the places then fit clearly better; empty otherwise.
 
     Parameters
     ----------
     observations, other : sequence of PressObservation
-        The same presses with the stated and with the other polarity.
+        The same presses observed with the stated and with the other polarity.
     stated : str
     """
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
@@ -77,7 +77,7 @@ def _unit_hint(observations: Sequence[PressObservation], geometry: Geometry) -> 
 
 
 def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
-    """Other axes, or another unit of the places, that fit clearly better than the stated ones; empty when none do."""
+    """A hint at other axes, or another unit of the places, that fit clearly better; empty if none do."""
     stated = with_stated_place(observations)
     if len(stated) < _AXES_LEAST_PRESSES:
         return ""
@@ -91,7 +91,7 @@ def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> s
 
 
 def _error_mm(stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)) -> float:
-    """Median distance of the located places from the stated ones, those being read by other axes."""
+    """Median distance of the located places from the stated ones as read by other axes, mm."""
     a, b, c, d = axes
     places = [(a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1]) for o in stated]
     return float(np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)]))

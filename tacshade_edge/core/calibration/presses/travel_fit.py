@@ -1,15 +1,14 @@
-"""How far the indenter of each press travelled into the skin, predicted from all the other presses.
+"""Predict the indenter's travel into the skin at each press from all the other presses.
 
-A robust regression, sharper than a reconstruction because here the indenter and its place are known: the travel from
-first touch is a power law of what the image shows. (The depth of a press is that travel and how far the indenter's
-lowest point lay from the skin at first touch.)
+A robust regression, sharper than a reconstruction because the indenter and its place are known: the travel from first
+touch is a power law of what the image shows. (The depth of a press is that travel plus the depth at first touch.)
 
 References
 ----------
-P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Comm. Stat. A 6, 1977:
-the iteration. P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: the weights, here
-0 beyond `OUTLIER_DEVIATIONS`. A. E. Hoerl, R. W. Kennard, "Ridge regression", Technometrics 12, 1970: the pull, here
-towards usual weights in place of 0. D. M. Allen, "The relationship between variable selection and data augmentation and
+P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Comm. Stat. A 6, 1977: the
+iteration. P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: the weights, here 0
+beyond `OUTLIER_DEVIATIONS`. A. E. Hoerl, R. W. Kennard, "Ridge regression", Technometrics 12, 1970: the pull, here
+towards usual weights instead of 0. D. M. Allen, "The relationship between variable selection and data augmentation and
 a method for prediction", Technometrics 16, 1974: leave-one-out residuals from the leverage.
 """
 
@@ -26,16 +25,16 @@ from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import F64, Geometry, freeze
 
 OUTLIER_DEVIATIONS = 4.0
-"""A press is an outlier beyond so many standard deviations of all of them."""
+"""A press is an outlier beyond this many standard deviations of all presses."""
 
-# log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
-# other indenter, on the nominal skin: usual weights (0 for those), which decide where the presses leave a weight open,
-# and how strongly the fit is pulled there.
+# Regression of log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
+# other indenter, on the nominal skin: usual weights (0 for the indenters), which count where the presses leave a weight
+# open, and the strength of the pull towards them.
 _USUAL_WEIGHTS = np.array([0.0, 1.2, 0.0, 0.0, -0.3, 0.2, -0.25])
 _RIDGE = 0.01
-# The standard deviation of log(travel) is at least this, and that of the travel these mm on the nominal skin.
+# Least standard deviation of log(travel), and of the travel in mm on the nominal skin.
 _LEAST_DEVIATION, _LEAST_DEVIATION_MM = 0.06, 0.1
-# The standard deviation of log(travel) that the weight of a shallow press is for.
+# Standard deviation of log(travel) that sets the weight of shallow presses.
 _USUAL_DEVIATION = 0.1
 _HUBER = 1.5
 _LEAST_TRAVEL_MM = 0.05
@@ -45,14 +44,14 @@ _ITERATIONS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
-    """Each press against the fit without it.
+    """The residual of each press from the fit without it.
 
     Attributes
     ----------
     error_mm : float64 (N,)
-        Predicted travel less the stated one.
+        Predicted less stated travel.
     deviations : float64 (N,)
-        Size of the residual in robust standard deviations of all presses; less where the press alone decides the fit.
+        Size of the residual in robust standard deviations of all presses; less if the press dominates the fit.
     """
 
     error_mm: F64
@@ -69,7 +68,7 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
     depth_mm = np.array([o.depth_mm for o in observations])
     travel = np.maximum((depth_mm - first_touch_mm(observations, geometry)) / scale, _LEAST_TRAVEL_MM)
     log_travel, least = np.log(travel), _LEAST_DEVIATION_MM / travel
-    # An error in mm is a larger ratio of a shallow press.
+    # An error in mm is a larger ratio for a shallow press.
     trust = 1 / (1 + (least / _USUAL_DEVIATION) ** 2)
     weight = trust
     usual = np.concatenate((_USUAL_WEIGHTS, np.zeros(features.shape[1] - len(_USUAL_WEIGHTS))))
@@ -93,7 +92,7 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
 
 
 def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
-    """Mean error of each press predicted from all the others, the indenter and the place being known."""
+    """Mean error of the depth of a press, predicted from all the others with indenter and place known; mm."""
     return float(np.mean(np.abs(leave_one_out(observations, geometry).error_mm)))
 
 

@@ -1,1 +1,1 @@
-"""Images of the unloaded skin: circle, markers, threshold, load, and how the reference follows."""
+"""Images of the unloaded skin: circle, markers, threshold, load, and following."""

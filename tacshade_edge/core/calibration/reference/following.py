@@ -1,9 +1,9 @@
-"""While nothing touches, the reference may follow slow change of the picture, within bounds that are counted from where
-it began: the calibration's own reference, or the latest that was asked for.
+"""Renew the reference while nothing touches, to follow slow change of the image within bounds around the origin: the
+calibration's own reference, or the latest one requested.
 
-A light ages, a lens warms up, dust settles: such change is smooth, and g has little of it. What rests on the skin, a
-lost marker or dirt change a patch. An object laid on so gently that the gate stays shut is such a patch too, so bounds
-on the whole way from the beginning, not on each renewal, keep it from being taken for skin.
+A light ages, a lens warms up, dust settles: such change is smooth and hardly affects g. An object that rests on the
+skin, a lost marker or dirt changes a patch. An object laid on so gently that the gate stays closed is such a patch too,
+so the bounds limit the whole change since the origin, not each renewal.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Calibration, Disc
 
-# As much of g as the gate judges by may differ so much from the beginning, beside what all of it has in common: more
-# than an aged lamp does, less than a marker that is lost. How much later what is laid on slowly is found for it, the
-# tests state; far below the gate's least 10, nothing that was followed looks like a contact when it goes.
+# An area as large as the gate requires may differ by this much from the origin, less the common change: more than an
+# aged lamp causes, less than a lost marker. It is far below the gate's least 10, so nothing that was followed looks
+# like a contact when it goes. The tests state how much later a slow load is found because of it.
 PATCH_GREY = 4.0
-# And all of it by so much: beyond, frames are in doubt against the reference of the beginning.
+# Limit of the common change: beyond it, frames are degraded against the original reference.
 COMMON_GREY = DRIFT_LEVELS
-# A renewal that changes less is not worth another calibration number (grey levels, and RMS of g between still frames).
+# A smaller change is not worth a new calibration number (grey levels, and multiples of the noise of g).
 RENEW_GREY, RENEW_NOISE = 2.0, 2.0
-_BLOCK_PX = 8  # noise of single pixels is no change
+_BLOCK_PX = 8  # averages the noise of single pixels
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """How far a reference is from another.
+    """The difference between two references.
 
     Attributes
     ----------
     drift : Drift
     common_grey : float
-        Change of g that all of the skin has in common, grey levels.
+        Change of g that the whole skin shares, grey levels.
     patch_grey : float
-        The most that `GATE_MM2` of skin differ from that, lighter or darker.
+        Greatest difference from that over `GATE_MM2` of skin, lighter or darker; grey levels.
     """
 
     drift: Drift
@@ -57,16 +57,16 @@ class Distance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """What came of some untouched images.
+    """The result of `follow`.
 
     Attributes
     ----------
     calibration : Calibration or None
-        With a reference from them; None where the present one stays.
+        Calibration with the renewed reference; None if the present one stays.
     distance : Distance or None
-        Of the images from the beginning; None where an image cannot be compared.
+        Distance of the images from the origin; None if an image cannot be compared.
     reason : Reason or None
-        What bound they are beyond; None within all.
+        The bound that the images exceed, or why an image is invalid; None otherwise.
     """
 
     calibration: Calibration | None
@@ -75,7 +75,7 @@ class Followed:
 
 
 def bounds(disc: Disc) -> dict[str, float]:
-    """How far a reference may be followed, as `Distance` has it; for messages."""
+    """The bounds on each quantity of `Distance`, for messages."""
     return {
         "shift_px": round(registration.SHIFT_PART * disc.radius_px, 3),
         "moved_px": round(registration.RIM_PART * disc.radius_px, 3),
@@ -89,23 +89,23 @@ def bounds(disc: Disc) -> dict[str, float]:
 
 
 def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
-    """A reference from untouched images, if they are within the bounds.
+    """Renew the reference from untouched images, if they are within the bounds.
 
     Parameters
     ----------
     origin : Calibration
-        With the reference that the bounds count from.
+        With the reference from which the bounds count.
     current : Calibration
-        The same with the reference in use.
+        The same calibration with the reference in use.
     images : sequence of uint8 (H, W) or (H, W, 3)
-        At least one.
+        At least one image.
     """
     greys = [greyscale.to_grey(image) for image in images]
     check = sensor_check(origin, unloaded=True)
     for grey in greys:
         if reason := invalid_reason(grey, check):
             return Followed(None, None, reason)
-    # The noise stays: a sensor that trembles must not raise its own gate.
+    # Keep the noise: a sensor that trembles must not raise its own gate.
     renewed = replace(with_reference(replace(origin, crc32=0), greys), noise_grey=origin.noise_grey)
     prepared = Preprocessor(renewed, PROFILE)
     disc = origin.geometry.disc
@@ -118,7 +118,7 @@ def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> F
 
 
 def beyond(distance: Distance, disc: Disc) -> Reason | None:
-    """What bound a reference is beyond; None within all of them."""
+    """The bound that a reference exceeds; None if it exceeds none."""
     drift = distance.drift
     if drift.still_part == 0:
         return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's")
@@ -145,7 +145,7 @@ def g_change(old: Preprocessor, new: Preprocessor) -> tuple[float, float]:
 
 
 def _worth(current: Preprocessor, renewed: Preprocessor) -> bool:
-    """Whether two references differ by more than noise."""
+    """Whether two references differ enough to renew."""
     common, patch = g_change(current, renewed)
     if abs(common) + patch > max(RENEW_GREY, RENEW_NOISE * current.calibration.noise_grey):
         return True

@@ -1,4 +1,4 @@
-"""The markers of a reference, found one by one: where they are, however bright the rings and lamps around them."""
+"""Find the markers of a reference one by one, however bright the rings and lamps around them."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ import numpy as np
 
 from tacshade_edge.types import F32, F64, U8, Disc, freeze
 
-# Blobs are looked for in an image of so many rows (or columns, if those are fewer), of both signs, at these sizes, as
-# extrema of the difference of two Gaussians (D. Marr and E. Hildreth, 1980).
+# The search for blobs shrinks the shorter side to this, and takes extrema of both signs of the difference of two
+# Gaussians (D. Marr and E. Hildreth, 1980) at these sizes.
 _SEARCH_PX = 240
 _SIGMAS_PX = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 _WIDER = 1.6
 _LEAST_CONTRAST_GREY = 2.0
-# Neighbours in a pattern stand about as far from each other as theirs do, and contrast alike; lamps, screws and
-# reflections do not. A marker has at least so many neighbours, a pattern so many markers.
+# Neighbours in a pattern have about the same pitch and contrast; lamps, screws and reflections do not. A marker has at
+# least this many neighbours, a pattern this many markers.
 _NEAREST = 9
 _PITCHES, _UNLIKE_PITCH, _UNLIKE_CONTRAST = 1.4, 1.4, 1.6
 _LEAST_NEIGHBOURS, LEAST_MARKERS = 3, 60
-# Standard deviation of the logarithm of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise; and how
-# fast the score of a field falls with it.
+# Standard deviation of the log ratio of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise; and the
+# rate at which a field's score falls with it.
 _MOST_UNEVEN, _EVENNESS = 0.115, 14.0
-# So much of the hull of a field's markers they fill, a cell of the lattice each: 0.8 or more; strings in noise less.
+# Least part of a field's hull filled by its markers' cells: patterns fill 0.8 or more, strings in noise less.
 _LEAST_FILLED = 0.7
-# A visible circle holds nearly all markers: the corners of a hexagon of 127 are 0.05 of them.
+# A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05 of them.
 _HELD_PART, _SAMPLES = 0.985, 41
 _HEXAGON = 3**0.5 / 2
-"""Area of a lattice's cell, in squared pitches."""
+"""Area of a lattice cell, in squared pitches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerField:
-    """The markers, or pins, of one picture.
+    """The markers, or pins, of one image.
 
     Attributes
     ----------
     markers_px : float64 (N, 2)
         Row and column of each, N at least `LEAST_MARKERS`.
     pitch_px : float
-        Median distance to the three nearest.
+        Median distance to the three nearest markers.
     circle : Disc
-        The least circle around the markers, half a pitch wider.
+        The smallest circle around the markers, plus half a pitch.
     """
 
     markers_px: F64
@@ -58,7 +58,7 @@ class MarkerField:
         return bool(np.mean(far <= disc.radius_px) >= _HELD_PART)
 
     def filled_part(self, disc: Disc, shape: tuple[int, ...]) -> float:
-        """Part of a circle, as far as the image holds it, that lies within a pitch of a marker."""
+        """Part of a circle's visible area that lies within a pitch of a marker, 0 to 1."""
         step = np.linspace(-1, 1, _SAMPLES)
         rows, cols = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
         unit = np.stack((rows, cols), axis=1)[np.hypot(rows, cols) <= 1]
@@ -66,14 +66,14 @@ class MarkerField:
         places = places[((places >= -0.5) & (places <= np.array(shape[:2]) - 0.5)).all(axis=1)]
         if not len(places):
             return 0.0
-        from scipy.spatial import cKDTree  # a daemon that takes no reference needs none of it
+        from scipy.spatial import cKDTree  # a daemon that takes no reference does not need it
 
         nearest, _ = cKDTree(self.markers_px).query(places)
         return float(np.mean(nearest <= self.pitch_px))
 
 
 def find_markers(grey: U8) -> MarkerField | None:
-    """Find the largest and most even field of blobs of one size; None where there is none.
+    """Find the largest and most even field of blobs of one size; None if there is none.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def find_markers(grey: U8) -> MarkerField | None:
 
 
 def _extrema(difference: F32, sigma_px: float) -> tuple[F64, F32]:
-    """Places of maxima and how high they are."""
+    """Places (row, column) and values of the maxima."""
     side = 2 * int(np.ceil(1.2 * sigma_px)) + 1
     highest = cv2.dilate(difference, np.ones((side, side), np.uint8))
     rows, cols = np.nonzero((difference >= highest) & (difference > _LEAST_CONTRAST_GREY))
@@ -109,7 +109,7 @@ def _extrema(difference: F32, sigma_px: float) -> tuple[F64, F32]:
 
 
 def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
-    """The most blobs that stand like neighbours in a pattern, their pitch, and how uneven it is; None for few."""
+    """The largest set of blobs spaced like a pattern, its pitch and unevenness; None if too few or too uneven."""
     if len(points) < LEAST_MARKERS:
         return None
     from scipy.sparse import coo_matrix, csr_matrix
@@ -138,7 +138,7 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
 
 
 def _score(points: F64, pitch: float, uneven: float) -> float:
-    """How much of the picture is how evenly filled; 0 for a string of blobs."""
+    """Score of a field: the area that it covers, less if uneven; 0 for a string of blobs."""
     area = float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
     filled = min(len(points) * _HEXAGON * pitch**2 / max(area, 1.0), 1.0)
     return area * filled**2 * float(np.exp(-_EVENNESS * uneven)) if filled >= _LEAST_FILLED else 0.0

@@ -1,4 +1,4 @@
-"""What a reference image shows by itself: the visible circle and the marker pitch."""
+"""Find the visible circle and the marker pitch in a reference image."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
 # A smaller image shows no markers.
 _LEAST_PX = 80
-# The coarse circle is searched at this height.
+# Height of the image in which the coarse circle is searched for.
 _SEARCH_ROWS = 120
-# Vignetting weakens the rim's markers, a LED ring has texture too: start from several parts of Otsu's threshold.
+# Vignetting weakens the rim's markers, and a LED ring has texture too: start from several parts of Otsu's threshold.
 _TEXTURE_PARTS = (1.0, 0.5, 0.25)
-# Of a region that the image cuts, the rim is what lies further than this from the border, in at least so many corners.
+# The rim of a region cut by the image: the part further than this from the border, with at least this many corners.
 _BORDER_PX, _RIM_CORNERS = 4, 8
-# A circle with so much of its rim in the image is not cut (a bright surround reaches the border, too).
+# A circle with at least this part of its rim in the image is not cut (a bright surround reaches the border, too).
 _RIM_WHOLE = 0.97
 _RAYS = 1440
 _RADIAL_STEP_PX = 0.5
@@ -30,18 +30,18 @@ _RADIAL_STEP_PX = 0.5
 _SLOW_TURN = 1 / 60
 # Steps of the search for the centre, in px at a disc of 200 px.
 _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
-# Along the angle, just inside its rim, a pattern varies at least by this (RMS, grey levels).
+# A pattern varies along the angle, just inside its rim, by at least this (RMS, grey levels).
 _LEAST_PATTERN = 3.0
-# Just outside the rim the pattern's variation must have fallen below this part of what it is just inside.
+# The variation just outside the rim must be below this part of that just inside.
 _RIM_FALL = 0.5
-# So much of the visible circle lies within a pitch of a marker: of a hexagon's 0.9, of a field as wide as the image
-# 0.65. Where the texture ends, less is enough: not every marker of a faint rim is found. A ring of lamps around a dome
-# whose middle has pins is filled to 0.4.
+# Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field as wide as the
+# image). At the end of the texture the second is enough: the search misses some markers of a faint rim. A ring of lamps
+# around a dome with pins in its middle fills 0.4.
 _FILLED, _HALF_FILLED = 0.75, 0.55
 
 
 def visible_disc(grey: U8, stated: Disc | None) -> Disc:
-    """The circle that somebody stated, or else the one that is found. Raises ConfigError, as `find_disc`."""
+    """The stated circle, or else the one found. Raises ConfigError like `find_disc`."""
     disc = stated or find_disc(grey)
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = f"row {disc.row_c:g}, col {disc.col_c:g}, radius {disc.radius_px:g} px"
@@ -52,10 +52,10 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
 def find_disc(grey: U8) -> Disc:
     """Find the visible circle in a reference image.
 
-    The disc is where the marker pattern is, so its rim is where the pattern's variation along the angle ends:
-    a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region; centre
-    and radius are then searched for the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE
-    Trans. PAMI 15, 1993). The markers themselves (`marker_field`), where they can be found one by one, must fill it.
+    The disc holds the marker pattern, so its rim is where the pattern's variation along the angle ends: a step in
+    brightness alone would find the LED ring instead. The textured region gives a coarse circle; a search then moves
+    centre and radius to the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE Trans. PAMI
+    15, 1993). The markers themselves, if `marker_field` can find them one by one, must fill the disc.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def find_disc(grey: U8) -> Disc:
     Raises
     ------
     ConfigError
-        No circle with a marker pattern is in the image.
+        The image has no circle with a marker pattern.
     """
     if min(grey.shape) < _LEAST_PX:
         found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX}"
@@ -81,12 +81,12 @@ def find_disc(grey: U8) -> Disc:
         return disc
     if disc is not None and field.holds(disc) and field.filled_part(disc, grey.shape) >= _HALF_FILLED:
         return disc
-    # A ring of lamps ends more sharply than the markers do. Where those end at one circle, that is it; where they do
-    # not, as the corners of a hexagon of pins inside a wider dome, it is the one around them.
+    # A ring of lamps ends more sharply than the markers do. If the markers end at one circle, take it; if they do not,
+    # like the corners of a hexagon of pins inside a wider dome, take the circle around them.
     near = _sharpest(grey, [field.circle])
     if not _refusal(grey, near) and field.holds(near.disc) and field.filled_part(near.disc, grey.shape) >= _FILLED:
         return near.disc
-    whole = rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # a picture full of a pattern shows no circle
+    whole = rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
     if whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
         return field.circle
     if disc is None:
@@ -108,7 +108,7 @@ def _end_of_texture(grey: U8) -> Disc:
 
 
 def _refusal(grey: U8, best: _Rim) -> str:
-    """Why a rim is none; empty when it is one."""
+    """Why this is not the rim of a pattern; empty if it is."""
     if best.strength < _LEAST_PATTERN:
         return f"the pattern varies by {best.strength:.1f} grey levels, expected at least {_LEAST_PATTERN}"
     seen = rim_seen(grey.shape, best.disc)
@@ -124,7 +124,7 @@ def _refusal(grey: U8, best: _Rim) -> str:
 
 
 def _fall(grey: U8, disc: Disc) -> float:
-    """Variation along the angle just outside a circle over that just inside, where the image holds both."""
+    """Variation along the angle just outside a circle over that just inside, on rays where the image holds both."""
     n = _width(disc)
     radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(-n, n, dtype=np.float64)
     strength, seen = _pattern_strength(grey, disc, radii)
@@ -135,7 +135,7 @@ def _fall(grey: U8, disc: Disc) -> float:
 
 
 def _sharpest(grey: U8, starts: list[Disc]) -> _Rim:
-    """The sharpest rim that is found from the best of some circles."""
+    """The sharpest rim found from the best of the starting circles."""
     best = max((_end_of_pattern(grey, start, 0.5, 1.4) for start in starts), key=lambda rim: rim.sharpness)
     for step in _CENTRE_STEPS:
         best = _climb(grey, best, step * best.disc.radius_px / 200)
@@ -144,7 +144,7 @@ def _sharpest(grey: U8, starts: list[Disc]) -> _Rim:
 
 @dataclass(frozen=True, slots=True)
 class _Rim:
-    """A circle; how sharply the pattern ends there, its variation just inside (grey levels)."""
+    """A circle, the sharpness of the pattern's end there, and the variation just inside (grey levels)."""
 
     disc: Disc
     sharpness: float
@@ -169,14 +169,14 @@ def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
 
 @dataclass(frozen=True, slots=True)
 class _Region:
-    """Circle of a region's area around its middle; where the image cuts it, that through what is left of its rim."""
+    """Circle of a region's area around its centroid; `rim` is one through its rim, if the image cuts the region."""
 
     disc: Disc
     rim: Disc | None
 
 
 def _textured_region(grey: U8, part: float) -> _Region:
-    """The hull of the largest region with more than `part` of the texture at Otsu's threshold (N. Otsu, 1979)."""
+    """The hull of the largest region with more texture than `part` of Otsu's threshold (N. Otsu, 1979)."""
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
@@ -205,7 +205,7 @@ def _textured_region(grey: U8, part: float) -> _Region:
 
 
 def _circle_through_rim(hull: F64, shape: tuple[int, ...], scale: float) -> Disc | None:
-    """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None: not cut."""
+    """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None if not cut."""
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
     rim = hull[from_border > _BORDER_PX]
     if from_border.min() > 0 or len(rim) < _RIM_CORNERS:
@@ -217,19 +217,19 @@ def _circle_through_rim(hull: F64, shape: tuple[int, ...], scale: float) -> Disc
 
 
 def _width(disc: Disc) -> int:
-    """Radial steps that are just inside or just outside a rim."""
+    """The number of radial steps that count as just inside, or just outside, a rim."""
     return max(round(0.03 * disc.radius_px / _RADIAL_STEP_PX), 2)
 
 
 def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
-    """Variation along the angle at every radius, without its slow part.
+    """Squared variation along the angle at every radius, without its slow part.
 
     Returns
     -------
     strength : float64 (rays, radii)
-        Squared grey levels; 0 outside the image.
+        In squared grey levels; 0 outside the image.
     seen : bool (rays, radii)
-        Inside the image.
+        Whether the sample lies inside the image.
     """
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
@@ -244,10 +244,10 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
 
 
 def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
-    """The radius, `low` to `high` times the disc's, across which the pattern ends.
+    """The rim at which the pattern ends, its radius `low` to `high` times the disc's.
 
-    Taken over all angles, so that a marker that ends short of the rim does not matter; a wrong centre smears the
-    end, so its sharpness is largest at the right one.
+    The profile averages all angles, so a marker that ends short of the rim does not matter; a wrong centre smears the
+    end, so the right one has the greatest sharpness.
     """
     n = _width(disc)
     radii = np.arange(low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX)
@@ -256,11 +256,11 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     inner, outer = mean[:-n], mean[n:]
     if inner.size == 0 or not inner.max() > 0:
         raise ConfigError("found no visible circle in the reference: the pattern fills the image")
-    # A fall to nothing counts more than the larger fall from one row of markers to the next.
+    # Weight a fall to nothing above a larger fall from one row of markers to the next.
     fall = inner * (inner - outer) / (outer + 0.05 * inner.max())
     best = int(np.argmax(fall))
     edge = best + n
-    # To half of the fall, between two radii.
+    # Interpolate the radius at half of the fall.
     half = (profile[edge - n : edge].mean() + profile[edge : edge + n].mean()) / 2
     below = np.flatnonzero(profile[edge - n : edge + n] < half)
     k = edge - n + int(below[0]) if below.size else edge
@@ -274,12 +274,12 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
 
 
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
-    """Distance of neighbouring pin tips in the image, over the middle of the disc.
+    """Distance between neighbouring pin tips in the middle of the disc, px.
 
     Raises
     ------
     ConfigError
-        No periodic pattern.
+        The disc has no periodic pattern.
     """
     try:
         return _spectral_pitch_px(grey, disc)
@@ -291,10 +291,10 @@ def marker_pitch_px(grey: U8, disc: Disc) -> float:
 
 
 def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
-    """The pitch that the pattern's spectrum has.
+    """The marker pitch from the pattern's spectrum, px.
 
-    The first ring of the lattice's spectrum lies at 2 / (√3 pitch); it is found in the mean power over all
-    directions of the middle of the disc (there perspective stretches the lattice least).
+    The first ring of the lattice's spectrum lies at 2 / (√3 pitch): the first peak of the mean power over all
+    directions in the middle of the disc, where perspective stretches the lattice least.
     """
     half = max(int(0.5 * disc.radius_px), 8)
     row, col = round(disc.row_c), round(disc.col_c)
@@ -315,7 +315,7 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
     strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
     if not strong or smooth.max() < 5 * np.median(smooth):
         raise ConfigError("found no marker pattern in the reference: its spectrum has no clear ring")
-    first = strong[0]  # the lowest strong ring: a honeycomb's second ring can be the stronger one
+    first = strong[0]  # the lowest strong ring, because a honeycomb's second ring can be stronger
     near = slice(max(first - 4, 0), first + 5)
     weights = smooth[near]
     peak = float((weights * np.arange(band.size)[near]).sum() / weights.sum()) + low + 0.5

@@ -1,4 +1,4 @@
-"""Was a reference taken under load? An unloaded skin is alike all around its centre, and changes smoothly outwards."""
+"""Detect a reference taken under load: a free skin is alike all around its centre and changes smoothly outwards."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from tacshade_edge.core.geometry.disc import Grid, radius_squared
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.types import F32, Bool, Disc
 
-# A patch that differs this much from its ring is a load (grey levels, mm² on the nominal skin), where a fine pattern
-# does not make every ring uneven (in deviations of the disc), and where it is alone: a square lattice makes four of
-# them, a quarter turn apart. What this finds, and finds wrongly: tools/studies/calibration.py.
+# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the disc, because a fine
+# pattern makes every ring uneven), is this large (mm² on the nominal skin) and alone: a square lattice makes four such
+# patches, a quarter turn apart. tools/studies/calibration.py measures what this finds, rightly and wrongly.
 LOAD_GREY = 22.0
 LOAD_DEVIATIONS = 3.5
 LOAD_MM2 = 9.0
-# A load in the middle is alike all around too, but bends the radial profile: second difference over two rings. The
-# outer rings bend by themselves where the light sits at the rim: such a skin is brighter there, and free.
+# A load in the middle is alike all around too, but bends the radial profile (second difference over two rings). The
+# outer rings are left out: light at the rim brightens and bends them without a load.
 RINGS = 12
 MIDDLE_RINGS = 10
 LOAD_BEND_GREY = 22.0
 
 
 def reference_load_reason(preprocessor: Preprocessor) -> str:
-    """Why the reference seems to have been taken under load, for a person; empty when it does not."""
+    """A message why the reference seems to have been taken under load; empty if it does not."""
     g0, voting, geometry = preprocessor.reference_g, preprocessor.voting, preprocessor.calibration.geometry
     grid, disc = preprocessor.grid, geometry.disc
     rho2 = radius_squared(grid, disc)
@@ -42,7 +42,7 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
 
 
 def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
-    """g0 less its median on 12 rings around the centre; 0 where `voting` is False."""
+    """g_0 less its median on each of 12 rings around the centre; 0 where `voting` is False."""
     rings = np.minimum((np.sqrt(rho2) * RINGS).astype(int), RINGS)
     residual: F32 = np.zeros_like(g0)
     for ring in range(RINGS + 1):
@@ -53,7 +53,7 @@ def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
 
 
 def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
-    """What stands so many quarter turns around the disc's centre from each cell; beyond the grid its border's."""
+    """The values `turns` quarter turns around the disc's centre from each cell; beyond the grid, its border's."""
     rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
     cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
     for _ in range(turns):
@@ -65,7 +65,7 @@ def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
 
 
 def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
-    """Greatest second difference, over two rings, of the radial profile of g0 in the middle (means over soft rings)."""
+    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle, from soft rings."""
     rho, profile = np.sqrt(rho2) * RINGS, []
     for ring in range(MIDDLE_RINGS):
         weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting

@@ -1,4 +1,4 @@
-"""From images of the unloaded skin to a calibration's reference, and whether the images can serve as one."""
+"""Make a calibration's reference from images of the unloaded skin, and check the images."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, U8, Calibration
 
 PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
-"""The maps by which references and presses are compared."""
+"""Profile of the maps that compare references and presses."""
 ASSUMED_NOISE_GREY = 1.0
-"""RMS of g between frames of one still scene, where there are fewer references than `NOISE_REFERENCES`."""
+"""Noise of g, RMS in grey levels, assumed for fewer references than `NOISE_REFERENCES`."""
 NOISE_REFERENCES = 3
-# A new reference with less contrast than this part of the old one's cannot serve the old refit.
+# The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
 
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
-    """Replace the reference by the mean of binarised images, and the noise by how much g differs between them.
+    """Replace the reference by the mean of binarised images, and the noise by the deviation of g between them.
 
     Parameters
     ----------
     calibration : Calibration
     greys : sequence of uint8 (H, W)
-        At least one, of the calibration's size.
+        At least one; of the calibration's size.
     """
     geometry = calibration.geometry
     height, width = calibration.image_height_px, calibration.image_width_px
@@ -68,17 +68,17 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
 def check_references(
     calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Look for a load on the references and for differences between them.
+    """Check the references for a load and for differences between them.
 
     Parameters
     ----------
     calibration : Calibration
-        With their mean as its reference.
+        With the mean of the images as its reference.
     greys : sequence of uint8 (H, W)
     allow_loaded : bool
-        Warn of a load instead of refusing.
+        Warn of a load instead of raising.
     names : sequence of str
-        What the messages call each; their numbers from 1 if none are given.
+        Name of each reference in messages; numbers from 1 if empty.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def check_references(
     Raises
     ------
     ConfigError
-        A load that is not allowed, or a camera that moved so far that no mean is a reference.
+        The skin is loaded and that is not allowed, or the camera moved too far for a mean.
     """
     names = names or [str(number) for number in range(1, len(greys) + 1)]
     warnings = []
@@ -109,7 +109,7 @@ def check_references(
             )
         if change := shift or registration.light_drift_reason(drift):
             warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
-    # A pressed reference raises the measured noise, and would hide behind it.
+    # Assume the noise: a pressed reference raises the measured noise, which would hide it.
     preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
     gate = ContactGate(preprocessor)
     pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
@@ -120,7 +120,7 @@ def check_references(
 
 
 def _allowed(load: str, allow_loaded: bool) -> str:
-    """The same; raises where a load is not allowed."""
+    """Return the load's message as a warning, or raise ConfigError if no load is allowed."""
     if not allow_loaded:
         raise ConfigError(f"{load}; take it again without contact, or pass --allow-loaded-reference")
     return load
@@ -129,21 +129,21 @@ def _allowed(load: str, allow_loaded: bool) -> str:
 def rezero(
     calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
 ) -> Calibration:
-    """The same calibration with a reference from new images of the unloaded skin.
+    """Replace a calibration's reference by one from new images of the unloaded skin.
 
     Parameters
     ----------
     calibration : Calibration
     images : sequence of uint8 (H, W) or (H, W, 3)
     allow_loaded : bool
-        Take it even when the skin seems touched.
+        Accept the images even if the skin seems touched.
     names : sequence of str
-        What the messages call each image, where that helps.
+        Name of each image in messages; none if empty.
 
     Raises
     ------
     ConfigError
-        An image cannot be used, the camera moved too far for the calibration's geometry, or the skin is touched.
+        An image cannot be used, the camera moved too far for the calibration's geometry, or something touches the skin.
     """
     if not images:
         raise ConfigError("found no image to take a reference from, expected at least one")

@@ -1,4 +1,4 @@
-"""Does a picture stand still? What a moving skin changes that the camera's noise does not."""
+"""Decide whether an image stands still, despite the camera's noise."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 
 from tacshade_edge.types import F32, U8
 
-# Means over blocks of so many pixels: noise falls to an eighth, a shift of the pattern hardly.
+# Side of a block: its mean reduces noise to an eighth, but hardly reduces a shift of the pattern.
 BLOCK_PX = 8
-# Above what the resting skin shows by this factor and so many grey levels, something moves: 0.05 mm of a ball's travel
-# makes 5 to 18 levels where rest makes 2.2 to 3.4 (five simulated sensors, 640x480, 20 frames).
+# Something moves if the change exceeds that of the resting skin by this factor and these grey levels: 0.05 mm of a
+# ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors, 640x480, 20 frames).
 _REST_FACTOR, _REST_GREY = 1.3, 0.5
 REST_MOST_GREY = 8.0
-"""More than the noise of a usable camera makes at rest."""
+"""Grey levels above the `motion_grey` of any usable camera at rest."""
 
 
 def block_means(grey: U8) -> F32:
-    """Means of a grey image's blocks.
+    """Means over blocks of a grey image.
 
     Parameters
     ----------
@@ -37,23 +37,23 @@ def block_means(grey: U8) -> F32:
 
 
 def motion_grey(blocks: Sequence[F32]) -> float:
-    """How much the most moved block changed over a time, beyond what all changed by.
+    """Change over time of the block that changed most, less the change shared by all.
 
     Parameters
     ----------
     blocks : sequence of float32 (h, w)
-        `block_means` of one image or more, in any order.
+        `block_means` of at least one image, in any order.
 
     Returns
     -------
     float
-        Grey levels from the least to the greatest mean of that block; 0 of one image.
+        Grey levels between the least and the greatest mean of that block; 0 for one image.
     """
     change = np.stack(blocks) - blocks[0]
-    change -= np.median(change, axis=(1, 2), keepdims=True)  # a light that flickers moves nothing
+    change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
     return float((change.max(axis=0) - change.min(axis=0)).max())
 
 
 def stands_still(motion: float, rest: float) -> bool:
-    """Whether a `motion_grey` is that of a held picture, by the one of the untouched skin over as many images."""
+    """Whether a `motion_grey` is that of a still image, given that of the untouched skin over as many images."""
     return motion <= _REST_FACTOR * rest + _REST_GREY

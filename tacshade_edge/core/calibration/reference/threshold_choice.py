@@ -1,4 +1,4 @@
-"""Which threshold separates a sensor's markers from what is between them."""
+"""Choose the threshold that separates a sensor's markers from the gaps between them."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.types import U8, Binarisation, Disc
 
-# A piece of white of less than this part of a squared pitch is a speck. Pins that stand far apart leave the mean of
-# their neighbourhood near the dark between them, and noise makes specks there: more than half as many as markers.
+# A piece of white below this part of a squared pitch is a speck. Between pins that stand far apart, the local mean is
+# near the dark level, and noise makes specks: more than half as many as markers.
 _SPECK = 0.03
 _SPECKS_PER_MARKER = 0.5
-# Otsu's level serves such a sensor where it shows at least this part of the markers, each as a piece of its own.
+# Otsu's level suits such a sensor if it shows at least this part of the markers as separate pieces.
 _SHOWN_PART = 0.85
 
 
 def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
-    """Against the mean around, or Otsu's level where that makes specks of noise and this shows each marker.
+    """Choose the local mean, or Otsu's level if the local mean makes specks of noise and Otsu's shows the markers.
 
     Parameters
     ----------
     grey : uint8 (H, W)
-        Of the unloaded skin.
+        Image of the unloaded skin.
     disc : Disc
     pitch_px : float
         Marker pitch.
@@ -41,7 +41,7 @@ def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
 
 
 def _piece_sizes(white: U8) -> tuple[np.ndarray, np.ndarray]:
-    """The number of each pixel's piece, from 1; and the pieces' areas, px."""
+    """The label of each pixel's piece of white, from 1 (0 for black), and the area of each piece, px."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(white)
     return label, stats[1:, cv2.CC_STAT_AREA]
 

@@ -1,4 +1,4 @@
-"""What matters of a picture before there is a calibration: is the disc there, sharp, bright enough, not too bright?"""
+"""Judge an image before a calibration exists: is the disc visible, sharp and well exposed?"""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Disc
 
-# The circle is looked for in an image of so many rows: a third of the time, and within 1 px.
+# Rows of the image in which the circle is searched for: a third of the time, and within 1 px.
 _SEARCH_ROWS = 240
-# Inside the rim, where the housing's edge is no marker.
+# Part of the radius that is measured, without the housing's edge.
 _INNER = 0.95
 _PERCENTILES = (5, 95)
 _SATURATED_PART, _CONTRAST_GREY = 0.02, 30.0
@@ -23,7 +23,7 @@ _SATURATED_PART, _CONTRAST_GREY = 0.02, 30.0
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Where an image shows the marker pattern, and the pitch of its markers; px."""
+    """The disc of the marker pattern in an image, and its pitch in px."""
 
     disc: Disc
     pitch_px: float
@@ -36,10 +36,10 @@ class View:
     Attributes
     ----------
     focus : float
-        Fine over coarse detail: RMS of the Laplacian over that of the pattern, whatever the light. It is greatest where
-        the lens is sharpest (an energy of Laplacian, Subbarao, Choi and Nikzad 1993); another sensor has another.
+        Fine over coarse detail: RMS of the Laplacian over that of the pattern, whatever the light. Greatest when the
+        lens is sharpest (an energy of Laplacian, Subbarao, Choi and Nikzad 1993); not comparable between sensors.
     contrast_grey : float
-        Of the markers: from 5 % to 95 % of the disc, without slow light; grey levels.
+        Contrast of the markers: 5th to 95th percentile in the disc, without slow variation of light; grey levels.
     saturated_part : float
         Part of the disc at 250 grey levels or above.
     """
@@ -50,7 +50,7 @@ class View:
 
     @property
     def advice(self) -> str:
-        """What to fix; empty when nothing is to be."""
+        """What to fix; empty if nothing."""
         if self.saturated_part > _SATURATED_PART:
             return "too bright: use less light or a shorter exposure"
         if self.contrast_grey < _CONTRAST_GREY:
@@ -59,18 +59,18 @@ class View:
 
 
 def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
-    """Find disc and pitch.
+    """Find the disc and the pitch.
 
     Parameters
     ----------
     grey : uint8 (H, W)
     stated : Disc, optional
-        The circle, where somebody stated it.
+        The circle, if the user stated it.
 
     Raises
     ------
     ConfigError
-        There is no circle, or no pattern in it.
+        The image shows no circle, or no pattern in it.
     """
     if stated is not None:
         return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
@@ -86,13 +86,13 @@ def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
 
 
 def view(grey: U8, pattern: Pattern) -> View:
-    """Measure an image.
+    """Measure how well an image shows the pattern.
 
     Parameters
     ----------
     grey : uint8 (H, W)
     pattern : Pattern
-        Of this image or an earlier one.
+        Pattern of this image or an earlier one.
     """
     disc, (height, width) = pattern.disc, grey.shape
     inside = disc_mask(height, width, Disc(disc.row_c, disc.col_c, _INNER * disc.radius_px))

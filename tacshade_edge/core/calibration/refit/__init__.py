@@ -1,1 +1,1 @@
-"""Networks fitted to a sensor's presses, and how far off they are."""
+"""Fit networks to a sensor's presses, and measure their errors."""

@@ -1,9 +1,9 @@
-"""How far off a network's heights are on a sensor, from its presses: the scale of σ (`core.depth.sigma`).
+"""Measure a sensor's error scale, the factor on σ (`core.depth.sigma`), from its presses.
 
-The errors of presses that the heights were not fitted to, in σ of scale 1; q is the quantile that the 90 % interval has
-to hold of them, as in split conformal prediction (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World,
-2005). Presses are not what will be touched: other shapes are farther off, and a sensor with few presses is less unusual
-than it seems. So log q is taken on to the scale by a line that was fitted on simulated sensors.
+q is the quantile of errors, in σ of scale 1, that the 90 % interval must hold, over presses left out of the fit, as in
+split conformal prediction (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, 2005). Presses differ
+from later contacts: errors on other shapes are larger, and a sensor with few presses is less unusual than it seems. So
+a line fitted on simulated sensors converts log q to the logarithm of the scale.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def errors_in_sigma(
     known: Bool,
     geometry: Geometry,
 ) -> F64:
-    """|error| over σ of scale 1 of a press, at the cells where its height is known: float64 (N,).
+    """error| over σ of scale 1 of a press, at the cells with known height: float64 (N,).
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ def errors_in_sigma(
 
 
 def error_scale(model: SigmaModel, presses: Sequence[F64]) -> float:
-    """The scale of a sensor from the `errors_in_sigma` of at least one press, each with a cell; presses count alike."""
+    """The error scale from `errors_in_sigma` of at least one press, none of them empty; presses count alike."""
     scale = math.exp(model.press_offset + model.press_slope * math.log(press_q(presses)))
     return min(max(scale, _SCALE_RANGE[0]), _SCALE_RANGE[1])
 
 
 def press_q(presses: Sequence[F64]) -> float:
-    """What 90 % of the errors of presses lie below, in halves of the 90 % interval of scale 1; above 0."""
+    """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1; above 0."""
     errors = np.concatenate(presses)
     weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
     order = np.argsort(errors)

@@ -1,9 +1,9 @@
-"""The closed-form refit of the learned inverse to known presses.
+"""Refit the learned inverse to known presses in closed form.
 
-A network trained on every sensor is off on a given one by a nearly constant factor. Each press shows it where the
-indenter's surface is known and the network sees contact. The logarithms are averaged robustly, so that wrong presses
-hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls show little more: corrections that
-also depend on depth and place fit the balls better, and other shapes no better (tools/training/README.md).
+A network trained on many sensors is off on a given one by a nearly constant factor. Each press shows the factor where
+the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
+and shrinks towards 0 as their spread allows. Balls show little more: corrections by depth and place fit the balls
+better, but not other shapes (tools/training/README.md).
 
 References
 ----------
@@ -28,23 +28,23 @@ from tacshade_edge.core.geometry.disc import disc_rays
 from tacshade_edge.types import F32, F64, Bool, Geometry
 
 PRIOR_DEVIATION = 0.2
-"""Standard deviation of log factor over sensors; over simulated ones of both families and finer pitch, RMS is 0.17."""
-# The standard deviation of log factor over the presses of a sensor is at least this.
+"""Standard deviation of log factor over sensors; RMS over simulated ones of both families and finer pitch is 0.17."""
+# Least standard deviation of log factor over the presses of a sensor.
 _LEAST_DEVIATION = 0.05
 _HUBER, _ITERATIONS = 1.5, 20
-# A contact of fewer cells says nothing; fewer presses neither.
+# Fewer cells make no usable contact, fewer presses no usable factor.
 LEAST_CELLS, LEAST_PRESSES = 12, 5
-# Where the network and the ball are less deep than this, a cell says nothing (mm on the nominal skin).
+# Cells count only where the network and the indenter are deeper than this (mm on the nominal skin).
 LEAST_FOUND_MM, LEAST_TRUE_MM = 0.05, 0.1
-# Error of h grows with depth; from this depth on it is mostly proportional (mm on the nominal skin).
+# The error of h grows with depth; beyond this depth it is mostly proportional (mm on the nominal skin).
 PROPORTIONAL_MM = 0.5
-# No sensor is farther from the network's idea of it.
+# No known sensor needs a factor outside this range.
 FACTOR_RANGE = (0.3, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Ball:
-    """Where a pressed ball is, in the sensor frame."""
+    """A pressed ball: its centre in the sensor frame, and its radius."""
 
     x_mm: float
     y_mm: float
@@ -52,36 +52,36 @@ class Ball:
     radius_mm: float
 
     def depth_max_mm(self, skin_radius_mm: float) -> float:
-        """Greatest h of the skin under it."""
+        """Greatest h of the skin under it, mm."""
         return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
 
 
 Placed = Ball | PlacedIndenter
-"""What is pressed, where it is."""
+"""Any indenter in its place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressRows:
-    """One press in the regression, at the cells that are used: `target` is to be the factor times `found`, weighted."""
+    """One press in the regression, at the cells used: weighted `target` should equal the factor times `found`."""
 
     found: F64
     target: F64
 
 
 def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
-    """Place a ball that was pressed along -z (docs/reference/calibration-files.md says what its depth is)."""
+    """Place a ball pressed along -z (docs/reference/calibration-files.md defines its depth)."""
     beside = max(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0)
     return Ball(x_mm, y_mm, math.sqrt(beside) - depth_mm + radius_mm, radius_mm)
 
 
 def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_mm: float) -> Ball | None:
-    """The same where x and y were not stated; None where the network sees hardly a contact."""
+    """Place a ball without stated x and y; None if the network hardly sees a contact."""
     along = contact_direction(geometry, inverse)
     return None if along is None else ball_along(geometry, along, depth_mm, radius_mm)
 
 
 def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
-    """From O to the middle of the contact, a unit vector; None where there is hardly one."""
+    """The unit vector from O to the middle of the contact; None if there is hardly a contact."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     contact = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(contact) < LEAST_CELLS:
@@ -92,7 +92,7 @@ def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
 
 
 def ball_along(geometry: Geometry, along: F64, depth_mm: float, radius_mm: float) -> Ball:
-    """Place a ball whose contact's middle lies in a direction from O: so does the ball's centre."""
+    """Place a ball in the direction from O of the middle of its contact, which is also that of its centre."""
     reach = geometry.skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
         x, y = reach * along[0], reach * along[1]
@@ -101,23 +101,23 @@ def ball_along(geometry: Geometry, along: F64, depth_mm: float, radius_mm: float
 
 
 def placed_ball(geometry: Geometry, inverse: Inverse, press: KnownPress, radius_mm: float) -> Ball | None:
-    """Place the ball of a press where it is stated, or located; None where it cannot be."""
+    """Place the ball of a press at its stated place, or locate it; None if that fails."""
     if press.x_mm is None or press.y_mm is None:
         return located_ball(geometry, inverse, press.depth_mm, radius_mm)
     return stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, radius_mm)
 
 
 def ball_height(geometry: Geometry, ball: Ball, cells: int = disc_map.CELLS) -> F32:
-    """H of the ball's surface at the map's cells, mm; NaN where the cell's ray misses it and outside the disc."""
+    """Height h of the ball's surface at the map's cells, mm; NaN outside the disc and where the ray misses the ball."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, cells), geometry)
     height = ball_height_along(geometry, ball, rays.u.astype(np.float64), rays.v.astype(np.float64))
     return np.where(rays.inside, height, np.nan).astype(np.float32)
 
 
 def ball_height_along(geometry: Geometry, ball: Ball, u: F64, v: F64) -> F64:
-    """H of the ball's surface along the rays (u, v) of `DiscRays`, of any shape, mm; NaN where a ray misses it.
+    """Height h of the ball's surface along rays (u, v) of `DiscRays`, any shape, mm; NaN where a ray misses it.
 
-    By components: numpy sums over an axis of three many times as slowly.
+    Computed by components, because numpy sums over an axis of three many times slower.
     """
     if geometry.camera_distance_mm is None:
         origin = (u, v, np.zeros_like(u))
@@ -139,27 +139,27 @@ def _dot(a: tuple[F64, F64, F64], b: tuple[F64, F64, F64]) -> F64:
 
 
 def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
-    """H of what is pressed at the map's cells, mm; NaN or below 0 where it is not inside the undeformed skin."""
+    """Height h of an indenter at the map's cells, mm; NaN or below 0 where it is not inside the undeformed skin."""
     if isinstance(placed, Ball):
         return ball_height(geometry, placed, cells)
     return placed.height_mm(disc_rays(disc_map.map_grid(geometry.disc, cells), geometry), geometry)
 
 
 def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRows | None:
-    """One press for `fit_factor`; None where the network's contact and the indenter hardly meet."""
+    """Make the rows of a press for `fit_factor`; None if the network's contact and the indenter hardly overlap."""
     height, scale = inverse.height_mm, skin_scale(geometry)
     truth, use = known_cells(inverse, geometry, placed)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None
-    # Every press counts alike, a deep one a little less: its error in mm is larger.
+    # All presses count alike, except that deep ones count a little less: their error in mm is larger.
     depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / scale
     weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
     return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
 
 
 def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F32, Bool]:
-    """H of what is pressed as `known_height`, and the cells where the network's contact and the indenter meet."""
+    """`known_height` of an indenter, and the cells where it overlaps the network's contact."""
     height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
     scale = skin_scale(geometry)
     use = (inverse.contact_logit > 0) & np.isfinite(height)
@@ -168,7 +168,7 @@ def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F
 
 
 def fit_factor(presses: Sequence[PressRows]) -> float | None:
-    """The factor on h by a robust mean over presses and a prior; None where the presses are too few."""
+    """Fit the factor on h by a robust mean over presses and a prior; None if there are too few presses."""
     if len(presses) < LEAST_PRESSES:
         return None
     squares = np.array([float(press.found @ press.found) for press in presses])

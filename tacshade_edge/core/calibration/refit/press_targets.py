@@ -1,8 +1,8 @@
-"""What a network is to say of known presses when it is trained on with them (``calibrate --fit``).
+"""Training targets for a network from known presses (``calibrate --fit``).
 
-Only where the indenter's surface lies inside the undeformed skin and the shipped network sees contact is h known. The
-skin lifts off near the edge of a contact, so there h is at least the indenter's surface; the contact's outline, what is
-untrusted, and h far away are to stay what the shipped network says.
+h is known only where the indenter's surface lies inside the undeformed skin and the shipped network sees contact. The
+skin lifts off near the edge of a contact, so there h is at least the indenter's surface. The contact's outline, the
+untrusted cells and h far away should stay as in the shipped network.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, Bool, Calibration, Geometry, freeze
 
 _FAR_CELLS = 3
-"""Of a map of `disc_map.CELLS`: nearer to a contact h is whatever the skin makes of it."""
+"""Least distance from a contact, on a map of `disc_map.CELLS`, at which h has a target; nearer, h is free."""
 _EACH = 5
-"""One press of so many is held out."""
+"""One press in this many is held out."""
 
 
 VIEWS = tuple((turns, mirrored) for mirrored in (False, True) for turns in range(4))
-"""A sensor whose camera is turned, so many quarters, or whose picture is mirrored is as good a sensor, and the disc and
-what is known of it are the same: each press is eight. The first is the sensor itself."""
+"""Quarter turns of the camera, and whether the image is mirrored: each makes another valid sensor with the same disc
+and geometry, so each press counts as eight. The first is the sensor itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressTarget:
-    """A press as a network sees it, and what it is to say. Heights are in the network's unit, of `cells` a side.
+    """The network's input for a press, and its targets: maps of `cells` a side, heights in the network's unit.
 
     Attributes
     ----------
     name, indenter : str
     white : float32 (fold², N, N), 0 to 1
-        What the network is given.
+        Input of the network.
     surface : float32 (cells, cells)
-        h of the indenter's surface; 0 where it does not lie inside the undeformed skin.
+        h of the indenter's surface; 0 where it is not inside the undeformed skin.
     known : bool (cells, cells)
-        Where h is the surface's.
+        Cells where h is the surface's.
     far : bool (cells, cells)
-        Far from the contact, inside the disc.
+        Cells far from the contact, inside the disc.
     inside : bool (cells, cells)
-        In the picture and the disc.
+        Cells inside the image and the disc.
     height, contact_logit : float32 (cells, cells)
     untrusted_logit : float32 (M, M)
-        As the shipped network says.
+        Output of the shipped network, like the two above.
     """
 
     name: str
@@ -84,10 +84,9 @@ class Targets:
     ----------
     presses : tuple of PressTarget
     sensors : tuple of float32 (channels, N, N)
-        What the sensor adds to the first layer of the shipped network; then what it would add if its camera were turned
-        or its picture mirrored, in the order of `VIEWS`.
+        The sensor's contribution to the first layer of the shipped network, for each of `VIEWS`.
     unit_mm : float
-        Of the network's heights.
+        Unit of the network's heights.
     """
 
     presses: tuple[PressTarget, ...]
@@ -98,15 +97,15 @@ class Targets:
 def press_targets(
     calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
 ) -> Targets:
-    """What the profile's shipped network sees of presses, and is to say of them; without those whose contact it misses.
+    """Make targets from presses and the profile's shipped network, without presses that it misses.
 
     Parameters
     ----------
     calibration : Calibration
-        Of the sensor, not fitted.
+        Calibration of the sensor, not fitted.
     profile : Profile
     network : Network
-        The shipped one.
+        The shipped network.
     presses : sequence of KnownPress
     """
     geometry = calibration.geometry
@@ -158,14 +157,14 @@ def seen_as(map_: F32, view: tuple[int, bool]) -> F32:
 
 
 def held_out(presses: Sequence[KnownPress]) -> tuple[list[KnownPress], list[KnownPress]]:
-    """Presses to train with, and a fifth to judge by: of every indenter, ball and depth as many as there can be."""
+    """Split presses into those to train with and a fifth to test with, both spread over indenters, balls and depths."""
     order = sorted(presses, key=lambda p: (p.indenter.name if p.indenter else "", p.radius_mm, p.depth_mm))
     train = [press for k, press in enumerate(order) if k % _EACH != _EACH // 2]
     return train, order[_EACH // 2 :: _EACH]
 
 
 def known_errors_mm(targets: Targets, network: Network, sensor: F32, factor: float = 1.0) -> list[float]:
-    """Of each press the mean error at the cells where h is known.
+    """The mean absolute error of each press at the cells with known h, mm.
 
     Parameters
     ----------
@@ -174,7 +173,7 @@ def known_errors_mm(targets: Targets, network: Network, sensor: F32, factor: flo
     sensor : float32 (channels, N, N)
         What the sensor adds to its first layer.
     factor : float
-        On its heights.
+        Factor on its heights.
     """
     errors = []
     for press in targets.presses:
@@ -185,7 +184,7 @@ def known_errors_mm(targets: Targets, network: Network, sensor: F32, factor: flo
 
 
 def fitted_error_scale(targets: Targets, network: Network, sensor: F32, geometry: Geometry) -> float | None:
-    """The scale of the errors of a network on presses that it was not trained with; None where it has no model of them.
+    """The error scale of a network from presses left out of its training; None if it has no model of its errors.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Refit a learned profile to known presses, and measure its depth on presses that the refit has not seen."""
+"""Refit a learned profile to known presses, and measure its depth error on presses left out of the refit."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ class Refit:
     Attributes
     ----------
     factor : float
-        On h.
+        Factor on h.
     fit : ProfileFit
     errors_mm : tuple of (str, float)
-        Of each press its name, and the greatest h found less the true one, the press being left out of the refit.
+        Name of each press, and its greatest h found less the true one, with the press left out of the refit.
     found_mm : tuple of float
-        Of each press the greatest h that the network finds without a refit.
+        Greatest h of each press that the network finds without a refit.
     placed : tuple of Ball or PlacedIndenter
-        Of each press where its indenter is by what is stated.
+        Indenter of each press at its stated place.
     untrusted_part : float
-        So much of the median press's disc the network cannot explain as this sensor's skin, 0 to 1.
+        Part of the median press's disc that the network cannot explain as this sensor's skin, 0 to 1.
     left_out : tuple of str
-        Presses whose picture it would refuse, and why.
+        Messages about presses left out because the network does not recognise the skin.
     error_scale : float or None
-        Of σ, each press being left out of the refit; None where the network's errors were not measured.
+        Factor on σ, with each press left out of the refit; None if the network has no model of its errors.
     """
 
     factor: float
@@ -56,7 +56,7 @@ class Refit:
 def refit_profile(
     calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
 ) -> Refit | None:
-    """Refit a profile; None where its network finds too few of the contacts."""
+    """Refit a profile; None if its network finds too few of the contacts."""
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
@@ -102,7 +102,7 @@ def refit_profile(
 def _errors_in_sigma(
     model: SigmaModel, inverse: Inverse, factor: float, placed: gain.Placed, inside: Bool, geometry: Geometry
 ) -> F64:
-    """The cells are those of `gain.press_rows` that lie in the picture."""
+    """error| over σ of scale 1 of a press, at the cells of `gain.press_rows` inside the image."""
     height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0)
     truth, use = gain.known_cells(inverse, geometry, placed)
     return errors_in_sigma(
@@ -111,7 +111,7 @@ def _errors_in_sigma(
 
 
 def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> gain.Placed | None:
-    """Where a press's indenter is by what is stated; a ball without a place is located. None where it cannot be."""
+    """The indenter of a press at its stated place; a ball without one is located, or None if that fails."""
     if press.indenter is not None:
         return placed_indenter(press, press.indenter, geometry)
     return gain.placed_ball(geometry, inverse, press, press.radius_mm)

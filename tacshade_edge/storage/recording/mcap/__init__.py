@@ -1,4 +1,4 @@
-"""MCAP, the container that robotics tools share. The package `mcap` (extra ``mcap``) is imported where one is there."""
+"""MCAP, the container that robotics tools share; the package `mcap` (extra ``mcap``) is imported only when needed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _SUFFIXES = (".mcap", ".mcap.part")
 
 
 def is_mcap(path: Path) -> bool:
-    """By its name; a folder by what it has in place of a table of frames."""
+    """Whether a file's name says MCAP, or a folder has MCAP files instead of a table of frames."""
     return bool(mcap_files(path))
 
 
 def mcap_files(path: Path) -> list[Path]:
-    """The file itself, or those of a folder in the order of the numbers in their names; none where it is no MCAP."""
+    """The file itself, or a folder's files in the order of the numbers in their names; empty if it is not MCAP."""
     if not path.is_dir():
         return [path] if path.name.lower().endswith(_SUFFIXES) else []
     if table_in(path) is not None:
@@ -32,7 +32,7 @@ def mcap_files(path: Path) -> list[Path]:
 
 
 def mcap_frames(path: Path) -> McapFrames:
-    """The frames in an MCAP file, or in those of a folder. Raises ConfigError, also where the extra is missing."""
+    """The frames of an MCAP file or of a folder's MCAP files. Raises ConfigError, also if the extra is missing."""
     require_mcap()
     from tacshade_edge.storage.recording.mcap.frames import McapFrames
 
@@ -40,7 +40,7 @@ def mcap_frames(path: Path) -> McapFrames:
 
 
 def require_mcap() -> None:
-    """Raise ConfigError where the extra ``mcap`` is not installed."""
+    """Raise ConfigError if the extra ``mcap`` is not installed."""
     try:
         import foxglove_schemas_protobuf  # noqa: F401
         import mcap.reader  # noqa: F401

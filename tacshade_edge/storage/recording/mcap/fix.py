@@ -1,4 +1,4 @@
-"""MCAP files whose writer died: cut after their last whole record, and ended."""
+"""Fixes MCAP files after a crash of their writer: truncates each after its last whole record and ends it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.recording.mcap.layout import HEAD, MAGIC, ByteFile, Kind
 from tacshade_edge.storage.recording.mcap.walk import Place, places
 
-# Of a data section without a checksum, and no summary: readers go through the file.
+# The end of a data section without a checksum, and no summary, so readers scan the file.
 _END: Final = HEAD.pack(Kind.DATA_END, 4) + bytes(4) + HEAD.pack(Kind.FOOTER, 20) + bytes(20) + MAGIC
 _SUFFIX: Final = ".mcap.part"
 
 
 def fix_recordings(folder: Path) -> list[Path]:
-    """Fix every recording below `folder` that nobody writes to.
+    """Fix every recording below `folder` that nobody is writing.
 
     Returns
     -------
     list of Path
-        The files that were fixed, by their new names.
+        The new names of the fixed files.
 
     Raises
     ------
     DeviceError
-        The disk refuses; what was not fixed is as it was.
+        The disk fails; files not yet fixed are unchanged.
     """
     try:
         found = (fix(path) for path in sorted(folder.glob(f"*/*{_SUFFIX}")))
@@ -40,7 +40,7 @@ def fix_recordings(folder: Path) -> list[Path]:
 
 
 def fix(path: Path) -> Path | None:
-    """Make ``NAME.mcap`` of ``NAME.mcap.part``; None where it is being written to, or has not even a header.
+    """Turn ``NAME.mcap.part`` into ``NAME.mcap``; return None if somebody is writing it or it lacks a header.
 
     Raises OSError.
     """
@@ -63,7 +63,7 @@ def fix(path: Path) -> Path | None:
 
 
 def _end_of_records(stream: BinaryIO) -> int | None:
-    """Where the last whole record of the data section ends, past damage amid them, which whoever reads it learns of."""
+    """The end of the last whole record in the data section, past any damage, which readers will report."""
     file = ByteFile(stream)
     if file.at(0, len(MAGIC)) != MAGIC:
         return None

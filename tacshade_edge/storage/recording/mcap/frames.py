@@ -1,4 +1,4 @@
-"""The frames of a recording in MCAP: ours, with their times and poses, or the images of somebody else."""
+"""The frames of a recording in MCAP: our own, with times and poses, or another program's images."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tacshade_edge.storage.tables.tables import NUMBER_MAX
 from tacshade_edge.types import U8, Pose
 
 OURS: Final = "tacshade"
-"""Key in a channel's metadata, with `CAMERA` or `FRAME`; the channel of frames has their times and poses."""
+"""Key in a channel's metadata with the value `CAMERA` or `FRAME`; the `FRAME` channel holds times and poses."""
 CAMERA, FRAME = "camera", "frame"
 POSE_KEYS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 _ABOUT_BYTES_MAX: Final = 1 << 16
 _NAME_CHARS_MAX: Final = 255
 _UNUSABLE_MAX: Final = 10_000
-"""Of pictures and damaged places in one pass; each is a line, and a small file can have millions."""
+"""Most unusable pictures and damaged places in a pass; each costs a log line, and a small file can have millions."""
 Picture = Callable[[], U8]
 
 
@@ -36,23 +36,23 @@ class McapFrames:
     Parameters
     ----------
     paths : sequence of Path
-        Its files in order, one at least.
+        The recording's files in order, at least one.
 
     Attributes
     ----------
     cut_off : bool
-        Its writer did not end it: what is whole is here.
+        The writer did not end the recording; its whole records are included.
     damage : str
-        Lines of what is wrong beside the frames, for a person; empty where nothing is.
+        The damage outside the frames, for a person; empty if there is none.
     length_ns : int
-        From the first message to the last, of whichever topic; 0 where a file does not say.
+        Time from the first to the last message on any topic; 0 if a file does not state it.
     topic : str
-        Of the images.
+        The topic of the images.
 
     Raises
     ------
     ConfigError
-        No MCAP file; not exactly one topic of images that can be read.
+        A file is not MCAP, or the recording does not have exactly one readable topic of images.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -65,7 +65,7 @@ class McapFrames:
                     self.cut_off = self.cut_off or file.cut_off
                     spans.append(file.summary.span_ns if file.summary else None)
                     damage.extend([file.damage] if file.damage else [])
-            except ConfigError as error:  # one of several: the others have frames
+            except ConfigError as error:  # with several files, the others still have frames
                 if len(paths) == 1:
                     raise
                 damage.append(f"{error}; leaving its frames out")
@@ -78,7 +78,7 @@ class McapFrames:
         self._unusable = 0
 
     def __iter__(self) -> Iterator[tuple[Row, Picture, int]]:
-        """Every frame, its picture, which raises DecodeError where it cannot be used, and the time of its message."""
+        """Every frame's row, its picture, which raises DecodeError if it is unusable, and its message's time in ns."""
         last_ns = -1
         self._unusable = 0
         for count, found in enumerate(self._messages()):
@@ -122,7 +122,7 @@ class McapFrames:
         return picture
 
     def _messages(self) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
-        """Those with images, each with its schema, its encoding, and what our channel of frames said before it."""
+        """The image messages, each with path, schema, encoding and the content of our `FRAME` message before it."""
         for path in self._paths:
             with contextlib.closing(McapFile(path)) as file:
                 yield from self._messages_in(path, file)
@@ -130,7 +130,7 @@ class McapFrames:
     def _messages_in(
         self, path: Path, file: McapFile
     ) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
-        # The first to be found counts: all of one number are equal, and our writer repeats them.
+        # The first of each id counts, because our writer repeats them and all copies are equal.
         schemas = dict(file.summary.schemas) if file.summary else {}
         channels = dict(file.summary.channels) if file.summary else {}
         about: dict[str, Any] = {}
@@ -162,7 +162,7 @@ class McapFrames:
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the others are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
-        """By what our channel of frames says of this one; of others by the time of the message. Raises DecodeError."""
+        """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
         if not self._is_ours:
             if message.log_ns > T_NS_MAX:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
@@ -182,7 +182,7 @@ class McapFrames:
 
 
 def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
-    """Ours, or the only one with images; and whether it is ours."""
+    """Our topic of images, or the only one there is, and whether it is ours. Raises ConfigError."""
     topics: set[str] = set()
     damage = ""
     for path in paths:
@@ -206,7 +206,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
 
 
 def _described(file: McapFile) -> Iterator[SchemaName | Channel | Message | Damage]:
-    """From the summary, or from the whole of a file without one."""
+    """The schemas and channels from the summary, or all records of a file without one."""
     if file.summary is not None and file.summary.channels:
         return iter((*file.summary.schemas.values(), *file.summary.channels.values()))
     return file.records()
@@ -220,7 +220,7 @@ def _whole(about: dict[str, Any], key: str, most: int) -> int:
 
 
 def _number(key: str, value: object) -> float:
-    """Bounded before it becomes a float: JSON has whole numbers of any size."""
+    """Return a number as a float, after checking its range, because JSON integers can have any size."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (is_number and -NUMBER_MAX <= value <= NUMBER_MAX):  # type: ignore[operator]
         raise DecodeError(f"{key}: found {_short(value)}, expected a number from {-NUMBER_MAX:g} to {NUMBER_MAX:g}")

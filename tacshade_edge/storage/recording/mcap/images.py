@@ -1,4 +1,4 @@
-"""Images out of MCAP messages: ours, Foxglove's and ROS 2's."""
+"""Decodes images in MCAP messages: our own, Foxglove's and ROS 2's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tacshade_edge.protocol.ros_image import PixelRows
 from tacshade_edge.quoting import quoted
 from tacshade_edge.types import U8
 
-# encoding: channels, and what OpenCV turns them into BGR with
+# Encoding to its number of channels and OpenCV's code for the conversion to BGR.
 _ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
     "mono8": (1, None),
     "8UC1": (1, None),
@@ -55,7 +55,7 @@ def _foxglove_raw(payload: bytes) -> U8:
     return _raw(PixelRows(message.height, message.width, message.encoding, message.step, message.data))
 
 
-# (schema, encoding of messages): payload to pixels
+# (schema, encoding of messages) to a function from payload to pixels.
 DECODERS: Final[dict[tuple[str, str], Callable[[bytes], U8]]] = {
     ("foxglove.CompressedImage", "protobuf"): lambda payload: _compressed(CompressedImage.FromString(payload).data),
     ("foxglove.RawImage", "protobuf"): _foxglove_raw,

@@ -1,4 +1,4 @@
-"""How an MCAP file is laid out: the heads of its records, and how long each says that it is, inside and outside."""
+"""The layout of an MCAP file: record heads, and the lengths that a record's head and its fields state."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")  # kind, length
 _WINDOW_BYTES: Final = 1 << 14
 _LATER_FIELDS_BYTES: Final = 64
-"""What later versions of the format may add to a record; more is another kind's record whose first byte was changed."""
+"""Most that later format versions may add to a record; a longer one is another kind with a changed first byte."""
 
 
 class Kind(IntEnum):
-    """The first byte of a record; from 0x80 on they are private to who wrote them."""
+    """The first byte of a record; values from 0x80 on are private to their writer."""
 
     HEADER = 0x01
     FOOTER = 0x02
@@ -34,7 +34,7 @@ class Kind(IntEnum):
     DATA_END = 0x0F
 
 
-# Bytes, or the form of the number that says how many follow it.
+# Number of bytes, or the format of the number that states how many bytes follow it.
 _SHORT, _LONG = "<I", "<Q"
 _FIELDS: Final[dict[int, tuple[int | str, ...]]] = {
     Kind.HEADER: (_SHORT, _SHORT),
@@ -56,7 +56,7 @@ _FIELDS: Final[dict[int, tuple[int | str, ...]]] = {
 
 
 class ByteFile:
-    """The bytes of a file by their place, of the size that it had when it was opened.
+    """Random access to the bytes of a file, up to its size when it was opened.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ class ByteFile:
         self._window, self._begin = b"", 0
 
     def at(self, place: int, count: int) -> bytes:
-        """A few bytes, fewer at the end of the file; what lies around them is read at once."""
+        """Read a few bytes, fewer at the end of the file, and buffer those after them."""
         if place < self._begin or place + count > self._begin + len(self._window):
             self._window, self._begin = self.block(place, max(count, _WINDOW_BYTES)), place
         return self._window[place - self._begin : place - self._begin + count]
 
     def block(self, place: int, count: int) -> bytes:
-        """Many bytes, fewer at the end of the file."""
+        """Read many bytes, fewer at the end of the file."""
         left = max(0, min(count, self.size - place))
         parts = []
         while left and (part := os.pread(self._stream.fileno(), left, place)):
@@ -85,7 +85,7 @@ class ByteFile:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def head(self, place: int) -> tuple[int, int] | None:
-        """Kind and length of the record there; None where the file has not so many bytes."""
+        """The kind and length of the record at `place`; None if the file is too short for it."""
         head = self.at(place, HEAD.size)
         if len(head) < HEAD.size:
             return None
@@ -93,16 +93,16 @@ class ByteFile:
         return (kind, length) if place + HEAD.size + length <= self.size else None
 
     def begins_record(self, place: int) -> bool:
-        """Whether a record of a known kind may begin there, or the file ends."""
+        """Whether a record of a known kind may begin at `place`, or the file ends there."""
         if place >= self.size or self.at(place, len(MAGIC)) == MAGIC:
             return True
         head = self.head(place)
         return head is not None and head[0] in _FIELDS
 
     def is_sound(self, place: int) -> bool:
-        """Whether the record there is as long as its own fields say.
+        """Whether the record at `place` is as long as its own fields say.
 
-        Of a message, and of a record with more fields than are known, what follows must look like a record.
+        After a message, or a record with unknown additional fields, something like a record must follow.
         """
         if (head := self.head(place)) is None:
             return False
@@ -116,7 +116,7 @@ class ByteFile:
         return is_possible and self.begins_record(place + HEAD.size + length)
 
     def _stated_length(self, kind: int, place: int, length: int) -> int | None:
-        """By the record's own fields; None where they need more than it has."""
+        """The length according to the record's own fields; None if it exceeds the record."""
         stated = 0
         for field in _FIELDS.get(kind, (length + 1,)):
             if isinstance(field, int):

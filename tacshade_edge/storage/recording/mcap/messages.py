@@ -1,6 +1,6 @@
-"""A sensor's values in Foxglove's schemas: lengths and places in metres, times in Unix time, as its viewers expect.
+"""A sensor's values in Foxglove's schemas: lengths and positions in metres, times in Unix time, as viewers expect.
 
-Values that are only read as numbers stay in mm: a pixel of the height image is h in mm. The frames of reference are
+Values read only as numbers stay in mm: a pixel of the height image is h in mm. The frames of reference are
 ``ID/base``, ``ID/flange`` and ``ID/sensor``.
 """
 
@@ -37,7 +37,7 @@ _POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 
 def camera(png: bytes, sensor_id: str, wall_ns: int) -> bytes:
-    """A frame as it came, lossless."""
+    """The message of a captured frame, lossless."""
     message = CompressedImage(
         timestamp=_timestamp(wall_ns), frame_id=_frame_id(sensor_id, "sensor"), data=png, format="png"
     )
@@ -45,7 +45,7 @@ def camera(png: bytes, sensor_id: str, wall_ns: int) -> bytes:
 
 
 def height(height_mm: F32, sensor_id: str, wall_ns: int) -> bytes:
-    """Of each cell h in mm as ``32FC1``; NaN outside the disc."""
+    """The message of a height map: each cell's h in mm as ``32FC1``; NaN outside the disc."""
     rows, cols = height_mm.shape
     message = RawImage(
         timestamp=_timestamp(wall_ns),
@@ -60,7 +60,7 @@ def height(height_mm: F32, sensor_id: str, wall_ns: int) -> bytes:
 
 
 def cloud(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
-    """Points in m, each with the number of its object."""
+    """The message of a cloud: points in m, each with the number of its object."""
     points = np.empty(len(touched.labels), _POINT)
     points["xyz"], points["object"] = touched.points_mm * np.float32(M_PER_MM), touched.labels
     fields = [
@@ -78,7 +78,7 @@ def cloud(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
 
 
 def transform(a_T_b: Sequence[float], parent: Frame, child: Frame, sensor_id: str, wall_ns: int) -> bytes:
-    """Where `child` is in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x, y, z."""
+    """The message of `child`'s pose in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x, y, z."""
     x, y, z, qw, qx, qy, qz = a_T_b
     one = FrameTransform(
         timestamp=_timestamp(wall_ns),
@@ -91,7 +91,7 @@ def transform(a_T_b: Sequence[float], parent: Frame, child: Frame, sensor_id: st
 
 
 def log(name: str, text: str, wall_ns: int) -> bytes:
-    """A line of a viewer's log."""
+    """The message of a line in a viewer's log."""
     message = Log(timestamp=_timestamp(wall_ns), level=Log.INFO, message=text, name=name)
     return bytes(message.SerializeToString())
 

@@ -1,6 +1,6 @@
-"""What is in an MCAP file, however it ends and whoever wrote it: the one gate before anything is unpacked.
+"""Reads the records of any MCAP file, truncated or not, and checks sizes before it unpacks anything.
 
-Sizes are bounded for a chunk, for a file, and by how much larger than the file its content may be.
+It limits the size of a chunk, of a file, and of the unpacked content relative to the file.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from tacshade_edge.storage.recording.mcap.walk import Damage, Place, places
 
 FILE_BYTES_MAX: Final = 1 << 40
 CHUNK_BYTES_MAX: Final = 32 << 20
-"""Of a chunk, packed or not, or of what stands outside chunks: what a reader must hold."""
+"""Greatest size of a chunk, packed or not, or of a record outside chunks, which a reader must hold in memory."""
 UNPACKED_MAX: Final = 256
-"""Times the size of the file, after the first `_UNPACKED_FREE_BYTES`; lz4 can pack no closer."""
+"""Greatest unpacked size over the file's size, beyond `_UNPACKED_FREE_BYTES`; lz4 cannot compress further."""
 _UNPACKED_FREE_BYTES: Final = 16 << 20
 _RECORD_COSTS_BYTES: Final = 1 << 10
-"""What a record counts at least: millions of empty ones take time."""
+"""Least size that a record counts as, because millions of empty ones take time."""
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _CHUNK: Final = struct.Struct("<16xQII")  # unpacked size, its CRC-32, length of the compression's name
 _DAMAGED: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, EOFError)
@@ -38,7 +38,7 @@ _DAMAGED: Final = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Of a channel; `log_ns` is when it was recorded."""
+    """A message of a channel; `log_ns` is its recording time."""
 
     channel_id: int
     sequence: int
@@ -47,21 +47,21 @@ class Message:
 
 
 class McapFile:
-    """One open file; `close` it.
+    """An open MCAP file; call `close` after use.
 
     Attributes
     ----------
     cut_off : bool
-        Its writer did not end it.
+        The writer did not end the file.
     summary : Summary or None
-        What its end says of it, where that can be used.
+        The summary at the file's end, if usable.
     damage : str
-        What is wrong with its end, for a person; empty where nothing is.
+        The damage to the file's end, for a person; empty if there is none.
 
     Raises
     ------
     ConfigError
-        No MCAP file.
+        The file is not MCAP.
     """
 
     def __init__(self, path: Path) -> None:
@@ -78,15 +78,15 @@ class McapFile:
         self._unpacked = 0
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._stream.close()
 
     def places(self) -> Iterator[Place | Damage]:
-        """Where its records are, past what is damaged."""
+        """The places of the file's records, and the damaged ones between them."""
         yield from places(self._file, self._name, self.summary)
 
     def records(self) -> Iterator[SchemaName | Channel | Message | Damage]:
-        """Those of the data section in the order of the file, in chunks and outside."""
+        """The data section's records, in chunks and outside, in the order of the file."""
         self._unpacked = 0
         for place in self.places():
             if isinstance(place, Damage):
@@ -107,7 +107,7 @@ class McapFile:
                 return
 
     def attachment(self, place: Place, bytes_max: int) -> bytes:
-        """The data of an attachment. Raises ValueError where it is larger or damaged."""
+        """The data of an attachment. Raises ValueError if it exceeds `bytes_max` or is damaged."""
         name_end = place.body + 20 + self._number("<I", place.body + 16)
         data_at = name_end + 4 + self._number("<I", name_end) + 8
         size = self._number("<Q", data_at - 8)
@@ -122,7 +122,7 @@ class McapFile:
         return data
 
     def attachment_name(self, place: Place) -> str:
-        """As its writer named it, the beginning of a long one."""
+        """The attachment's name, cut to 255 bytes."""
         length = self._number("<I", place.body + 16)
         return str(self._file.at(place.body + 20, min(length, 255)), "utf-8", "replace")
 
@@ -161,18 +161,18 @@ class McapFile:
 
 
 def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, bytes], list[str]]:
-    """The attachments of these names, of those with one name the last, each of at most so many bytes.
+    """The attachments with the names in `bytes_max`, each up to its size there; the last one of each name.
 
     Returns
     -------
     dict of str to bytes
     list of str
-        A line for each that is damaged or too large, and for every damaged place of the file.
+        A line for each damaged or too large attachment, and for every damaged place in the file.
 
     Raises
     ------
     ConfigError
-        No MCAP file.
+        The file is not MCAP.
     """
     found: dict[str, bytes] = {}
     damage: list[str] = []
@@ -184,7 +184,7 @@ def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, byt
                 name = file.attachment_name(place)
                 if name not in bytes_max and place.length > CHUNK_BYTES_MAX:
                     continue
-                try:  # one of another name may have had one of these
+                try:  # check other names too: a damaged name may have been one of these
                     data = file.attachment(place, bytes_max.get(name, CHUNK_BYTES_MAX))
                 except ValueError as error:
                     damage.append(f"{shown(path)}: leaving its {shown(name)} out: {error}")
@@ -204,7 +204,7 @@ def _record(kind: int, body: memoryview) -> SchemaName | Channel | Message:
 
 
 def _unpacked(chunk: memoryview) -> bytes | memoryview:
-    """A chunk's records; never more memory than it says of itself, nor than `CHUNK_BYTES_MAX`."""
+    """Unpack a chunk's records in no more memory than its stated size and `CHUNK_BYTES_MAX`."""
     size, crc, name_bytes = _CHUNK.unpack_from(chunk)
     at = _CHUNK.size + name_bytes
     compression = bytes(chunk[_CHUNK.size : at][:64])
@@ -229,7 +229,7 @@ def _opened(path: Path) -> BinaryIO:
     try:
         try:
             return open_regular(path, FILE_BYTES_MAX)
-        except FileNotFoundError:  # its writer ended it meanwhile
+        except FileNotFoundError:  # its writer has ended it meanwhile
             return open_regular(path.with_name(path.name.removesuffix(".part")), FILE_BYTES_MAX)
     except OSError as error:
         raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected an MCAP file") from None

@@ -1,4 +1,4 @@
-"""What the end of an MCAP file says of the rest: channels, counts, and where its chunks begin."""
+"""The summary at the end of an MCAP file: channels, counts, and the places of its chunks."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Final
 from tacshade_edge.storage.recording.mcap.layout import HEAD, MAGIC, ByteFile, Kind
 
 SUMMARY_BYTES_MAX: Final = 16 << 20
-"""An index of 100 000 chunks; 500 GB in chunks of the usual size."""
+"""Enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size."""
 NAME_BYTES_MAX: Final = 4096
-_FOOTER: Final = struct.Struct("<QQI")  # where the summary and its offsets begin, CRC-32
+_FOOTER: Final = struct.Struct("<QQI")  # places of the summary and of its offsets, CRC-32
 _FOOTER_BYTES: Final = HEAD.size + _FOOTER.size + len(MAGIC)
 _COUNT: Final = struct.Struct("<HQ")
 
@@ -29,7 +29,7 @@ class SchemaName:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic; `metadata` is what its writer says of it."""
+    """A topic; `metadata` comes from its writer."""
 
     id: int
     schema_id: int
@@ -40,22 +40,22 @@ class Channel:
 
 @dataclass(slots=True)
 class Summary:
-    """Of one file.
+    """The summary of one file.
 
     Attributes
     ----------
     begin : int
-        Where it begins, which is where the data section ends.
+        Its first byte, at the end of the data section.
     schemas : dict of int to SchemaName
     channels : dict of int to Channel
     counts : dict of int to int
-        Messages of each channel; empty where the file does not count them.
+        Number of messages in each channel; empty if the file does not state it.
     span_ns : tuple of int or None
         Times of the first and the last message.
     starts : array of int
-        Where chunks and attachments begin, sorted.
+        First bytes of chunks and attachments, sorted.
     in_chunks : bool
-        It has chunks.
+        The file has chunks.
     """
 
     begin: int
@@ -68,7 +68,7 @@ class Summary:
 
 
 def read_summary(file: ByteFile) -> tuple[Summary | None, str]:
-    """The summary of a whole file; None, and why in words, where it cannot be used. Without words: it has none."""
+    """The summary of a whole file; None and a reason if it is unusable, None and an empty text if there is none."""
     footer_at = file.size - _FOOTER_BYTES
     if footer_at < len(MAGIC) or file.block(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
         return None, ""
@@ -90,13 +90,13 @@ def read_summary(file: ByteFile) -> tuple[Summary | None, str]:
 
 
 def schema_in(body: bytes | memoryview) -> SchemaName:
-    """Raises ValueError or struct.error where it is none."""
+    """Decode a schema record. Raises ValueError or struct.error."""
     (schema_id,) = struct.unpack_from("<H", body)
     return SchemaName(schema_id, _text(body, 2)[0])
 
 
 def channel_in(body: bytes | memoryview) -> Channel:
-    """Raises ValueError or struct.error where it is none."""
+    """Decode a channel record. Raises ValueError or struct.error."""
     channel_id, schema_id = struct.unpack_from("<HH", body)
     topic, at = _text(body, 4)
     encoding, at = _text(body, at)
@@ -148,7 +148,7 @@ def _count(found: Summary, body: bytes) -> None:
 
 
 def _text(body: bytes | memoryview, at: int) -> tuple[str, int]:
-    """A text, and where it ends."""
+    """Decode a text; return it and the place of its end."""
     (length,) = struct.unpack_from("<I", body, at)
     if length > NAME_BYTES_MAX or at + 4 + length > len(body):
         raise ValueError(f"found a name of {length} bytes, expected at most {NAME_BYTES_MAX}")

@@ -1,4 +1,4 @@
-"""From record to record of an MCAP file's data section, past what is damaged, which is reported."""
+"""Walks the records of an MCAP file's data section, skipping and reporting damage."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from tacshade_edge.storage.recording.mcap.summary import Summary
 
 _SCAN_BYTES: Final = 1 << 20
 _PASSED_OVER_MAX: Final = 10_000
-"""Of damaged places in one file; a file that is all damage costs time."""
+"""Limit on damaged places in a file, because a file full of damage takes time."""
 _INDEXED_MAX: Final = 16
-"""Of the index's next chunks: where so many are damaged too, or the index lies, the bytes are searched."""
+"""Number of next chunks tried from the index; if all are damaged, or the index is wrong, the bytes are searched."""
 _END: Final = frozenset(
     (
         *(Kind.DATA_END, Kind.FOOTER, Kind.CHUNK_INDEX, Kind.ATTACHMENT_INDEX),
         *(Kind.STATISTICS, Kind.METADATA_INDEX, Kind.SUMMARY_OFFSET),
     )
 )
-# A record's head with a length below 2^32. What stands inside chunks too is looked for in files without any only.
+# A record's head with a length below 2^32. Kinds that also stand inside chunks match only in files without chunks.
 _ANY: Final = re.compile(rb"(?=[\x02-\x0f][\s\S]{4}\0{4})")
 _OUTSIDE: Final = re.compile(rb"(?=[\x02\x06-\x0f][\s\S]{4}\0{4})")
 _OF_CHUNKS: Final = (Kind.CHUNK, Kind.MESSAGE_INDEX)
@@ -31,7 +31,7 @@ _OF_CHUNKS: Final = (Kind.CHUNK, Kind.MESSAGE_INDEX)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A record that is as long as it says: its kind, where its body begins, and the body's length."""
+    """A record of plausible length: its kind, its body's first byte, and the body's length."""
 
     kind: int
     body: int
@@ -39,28 +39,28 @@ class Place:
 
     @property
     def end(self) -> int:
-        """Where the next record begins."""
+        """The first byte of the next record."""
         return self.body + self.length
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something that cannot be used; what comes after it can."""
+    """An unusable part of the file; the records after it may be usable."""
 
     error: DecodeError
 
 
 def places(file: ByteFile, name: str, summary: Summary | None) -> Iterator[Place | Damage]:
-    """Every record of the data section in the order of the file.
+    """Every record of the data section, and the damage, in the order of the file.
 
-    After damage it goes on where the file's own index says that a chunk begins, or with the next bytes that make a
-    record; of a file that was cut off, the torn record at its end is not damage.
+    After damage, continue at the next record, at the next chunk in the file's own index, or at the next bytes that form
+    a record. In a truncated file, the torn record at the end is not damage.
 
     Parameters
     ----------
     file : ByteFile
     name : str
-        Of the file, fit for a line.
+        The file's name, fit for a line.
     summary : Summary or None
     """
     at = len(MAGIC)
@@ -85,7 +85,7 @@ def places(file: ByteFile, name: str, summary: Summary | None) -> Iterator[Place
             continue
         if file.at(at, 1)[0] == Kind.CHUNK:
             in_chunks = True
-        if in_chunks is None:  # looked up once: it may take all of the file
+        if in_chunks is None:  # searched once, because this may scan the whole file
             chunk = _found(file, at + 1, end, _OUTSIDE)
             in_chunks = chunk is not None and file.at(chunk, 1)[0] in _OF_CHUNKS
         following = _following(file, at, end, in_chunks, summary)
@@ -103,7 +103,7 @@ def _damage(name: str, begin: int, end: int, why: str) -> Damage:
 
 
 def _is_private(file: ByteFile, at: int, head: tuple[int, int], summary: Summary | None) -> bool:
-    """Of a kind that is not known, where the file counts its messages: one that is lost by it is missed at the end."""
+    """Whether to skip an unknown kind as private; needs message counts, which reveal a message lost this way."""
     if summary is None or not summary.counts or head[0] <= max(Kind):
         return False
     is_indexed = bisect_right(summary.starts, at) > bisect_right(summary.starts, at - 1)
@@ -111,7 +111,7 @@ def _is_private(file: ByteFile, at: int, head: tuple[int, int], summary: Summary
 
 
 def _following(file: ByteFile, at: int, end: int, in_chunks: bool, summary: Summary | None) -> int | None:
-    """Where the next record begins after a damaged one; None without one."""
+    """The first byte of the next sound record after a damaged one; None if there is none."""
     if (head := file.head(at)) is not None:
         behind = at + HEAD.size + head[1]
         if behind < end and file.is_sound(behind):
@@ -125,10 +125,10 @@ def _following(file: ByteFile, at: int, end: int, in_chunks: bool, summary: Summ
 
 
 def _found(file: ByteFile, begin: int, end: int, head: re.Pattern[bytes]) -> int | None:
-    """The first place that makes a record, with something after it that may be one."""
+    """The first place of a sound record with something like a record after it; None if there is none."""
     while begin < end:
         block = file.block(begin, min(_SCAN_BYTES, end - begin))
-        # A power cut leaves zeros, at times many; they begin nothing.
+        # A power cut can leave many zeros, at which no record begins.
         for match in head.finditer(block) if block.count(0) < len(block) else ():
             at = begin + match.start()
             found = file.head(at)

@@ -26,7 +26,7 @@ _CONTACT_KEYS: Final = (
     *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
     *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s"),
 )
-# All may be null, which the viewers' JSON Schema has no word for.
+# Any value may be null, which the viewers' JSON Schema cannot express.
 _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     FRAME: dict.fromkeys(_FRAME_KEYS, _NUMBER) | {"image": {"type": "string"}},
     "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
@@ -37,20 +37,20 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
 
 
 class McapWriter:
-    """One file. Its messages have the capture's Unix time twice, as what was logged and what was published.
+    """Writes one MCAP file. The log time and publish time of each message are both the capture's Unix time.
 
-    Schemas and channels stand again after each chunk, so that a damaged one takes nothing but its own messages along.
+    Schemas and channels are repeated after each chunk, so that a damaged chunk loses only its own messages.
 
     Parameters
     ----------
     stream : BinaryIO
         Empty and buffered; stays open.
     sensor_id : str
-        The topics are ``/tacshade/ID/NAME``.
+        The ``ID`` in the topics ``/tacshade/ID/NAME``.
     chunk_bytes : int
-        A chunk is written when it has so much.
+        Size at which a chunk is written.
     compress : bool
-        The chunks.
+        Whether to compress chunks.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class McapWriter:
         self._chunk_at = stream.tell()
 
     def frame(self, name: str, frame: Frame, png: bytes, wall_ns: int) -> None:
-        """A captured frame: its name, times and pose, then its picture."""
+        """Write a captured frame: its name, times and pose, then its picture."""
         about: dict[str, Any] = {"image": name, "seq": frame.seq, "t_ns": frame.t_ns}
         values = None if (pose := frame.pose) is None else tuple(float(getattr(pose, key)) for key in POSE_KEYS)
         about |= dict(zip(POSE_KEYS, values or (None,) * 7, strict=True))
@@ -76,7 +76,7 @@ class McapWriter:
         self.write(CAMERA, messages.camera(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
 
     def write(self, name: str, payload: bytes, wall_ns: int, seq: int = 0) -> None:
-        """A message of the channel of this name."""
+        """Write a message on the channel `name`."""
         if name not in self._channels:
             self._channels[name] = self._registered(name)
         self._writer.add_message(self._channels[name], wall_ns, payload, wall_ns, seq)
@@ -85,18 +85,18 @@ class McapWriter:
             self._chunk_at = self._stream.tell()
 
     def attach(self, name: str, data: bytes, wall_ns: int) -> None:
-        """A whole file."""
+        """Write a file as an attachment."""
         media_type = _MEDIA_TYPES.get(name.rpartition(".")[2], "application/octet-stream")
         self._writer.add_attachment(wall_ns, wall_ns, name, media_type, data)
         self._chunk_at = self._stream.tell()
 
     def describe(self, name: str, about: Mapping[str, str]) -> None:
-        """Words for a person or a program."""
+        """Write metadata for people or programs."""
         self._writer.add_metadata(name, dict(about))
         self._chunk_at = self._stream.tell()
 
     def finish(self) -> None:
-        """Write what waits, and the summary that makes the file whole."""
+        """Write the last chunk, and the summary that completes the file."""
         self._writer.finish()
 
     def _registered(self, name: str) -> int:
