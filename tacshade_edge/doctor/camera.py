@@ -15,7 +15,7 @@ from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
 from tacshade_edge.doctor.cameras import (
-    CSI_MEND,
+    CSI_FIX,
     card_name,
     csi_cameras,
     found_cameras,
@@ -52,7 +52,7 @@ def list_cameras(machine: Machine) -> Finding:
     if cameras:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
-        return warning("camera", "found a CSI receiver but no USB camera", CSI_MEND)
+        return warning("camera", "found a CSI receiver but no USB camera", CSI_FIX)
     return warning("camera", "found no camera on this machine", "plug one in; lsusb lists it if USB detects it")
 
 
@@ -63,7 +63,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     if not path.exists():
         return (fault("camera", f"{device}: no such device", _choose(machine)),)
     if is_csi(device, machine):
-        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_MEND),)
+        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_FIX),)
     if not may_use(path) and not path.is_dir():
         return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
     try:
@@ -239,7 +239,7 @@ def _choose(machine: Machine) -> str:
     if cameras:
         return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
     return (
-        CSI_MEND if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
+        CSI_FIX if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
     )
 
 

@@ -15,7 +15,7 @@ _NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
 # A Raspberry Pi's own nodes: its CSI receivers, and those that every Pi has with or without a camera.
 CSI_RECEIVERS = ("unicam", "rp1-cfe")
 _OWN_NODES = (*CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
-CSI_MEND = (
+CSI_FIX = (
     "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: set source: {kind: rpicam, camera: 0}"
 )
 _LIST_S = 2.5

@@ -30,7 +30,7 @@ from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.doctor.cameras import CSI_MEND, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.cameras import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import ports, sources
@@ -244,7 +244,7 @@ def _which(cameras: Sequence[str]) -> str:
     if cameras:
         return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
     if has_csi_receiver(Machine()):
-        return f"found no USB camera; {CSI_MEND}"
+        return f"found no USB camera; {CSI_FIX}"
     return "found no camera, expected one (lsusb lists it if USB sees it), or --config with a source"
 
 
