@@ -98,9 +98,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
             _log.warning("%s", line)
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
-            raise ConfigError(
-                f"{path}: found no {CALIBRATION_NAME} in it, expected one, or a sensor: read(recording, sensor)"
-            )
+            raise ConfigError(f"{path}: contains no {CALIBRATION_NAME}; pass a sensor: read(recording, sensor)")
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)
 

@@ -115,7 +115,7 @@ def connected(address: str) -> Iterator[Cluster]:
     except ValueError as error:
         raise ConfigError(f"--cluster: found {address!r}, expected tcp://HOST:8786 ({error})") from None
     except OSError:
-        raise DeviceError(f"cluster {address}: no Dask scheduler answers within {CONNECT_S:g} s") from None
+        raise DeviceError(f"cluster {address}: no Dask scheduler answered within {CONNECT_S:g} s") from None
     with client:
         _await_worker(client, address)
         _check_versions(client.get_versions(packages=DECIDES), address)

@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     if args.labels is not None and (args.plan or args.printer):
         raise ConfigError("--labels: found --plan or --printer too, expected neither")
     if args.printer is not None and args.plan is None:
-        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes a plan)")
+        raise ConfigError("--printer: found no --plan, expected one (--indenters DIR writes a plan)")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)

@@ -146,7 +146,7 @@ def _calibration(recording: Path, given: Path | None) -> Calibration:
     if given is not None:
         return calibrations.load(given)
     if (own := calibrations.of_recording(recording)) is None:
-        raise ConfigError(f"{recording}: found no {CALIBRATION_NAME} in it, expected one, or --calibration CAL.npz")
+        raise ConfigError(f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz")
     return own
 
 
