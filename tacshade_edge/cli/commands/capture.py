@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="write indenters to print (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
+        help="write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
     )
     what.add_argument(
         "--labels",

@@ -71,7 +71,7 @@ def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_nam
         "--sensors",
         type=sensors,
         metavar="SEED,...",
-        help=f"seeds of the sensors to simulate; the word default is the standard sensor (default: {sensor_names})",
+        help=f"seeds of the sensors to simulate; 'default' selects the standard sensor (default: {sensor_names})",
     )
     group.add_argument(
         "--objects",
