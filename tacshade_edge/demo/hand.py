@@ -178,7 +178,7 @@ def _draw(task: tuple[Path, str, int]) -> list[Path]:
     by_skin, drawn = dict[int, Path](), list[Path]()
     felts = list(
         follow(fingers, list(FINGERS).index(name), BOTTLE, placements)
-    )  # a list, so that the skins stay alive and their ids unique
+    )  # keeps skins alive: their ids are keys
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.truth.press else 0
         if key not in by_skin:
