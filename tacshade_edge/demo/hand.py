@@ -176,9 +176,7 @@ def _draw(task: tuple[Path, str, int]) -> list[Path]:
     round_of = script()
     placements = [round_of.at(k * STEP_S) for k in range(steps)]
     by_skin, drawn = dict[int, Path](), list[Path]()
-    felts = list(
-        follow(fingers, list(FINGERS).index(name), BOTTLE, placements)
-    )  # keeps skins alive: their ids are keys
+    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.truth.press else 0
         if key not in by_skin:
