@@ -113,7 +113,7 @@ class _Sensor:
         self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
 
     def hear(self, topic: str, payload: bytes) -> None:
-        """Send a message of the sensor's to the viewers. Raises DecodeError."""
+        """Send a message from the sensor to the viewers. Raises DecodeError."""
         now_ns = time.time_ns()
         match topic:
             case "height":

@@ -80,7 +80,7 @@ class Limit:
         return True
 
     def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[tuple[str, str], int]]:
-        """Return and reset the number of messages left out, for each kind of which another message would now pass."""
+        """Return and reset the counts of left-out messages: of all kinds, or of those that would now pass again."""
         over = [
             (kind, state)
             for kind, state in self._kinds.items()
