@@ -103,7 +103,7 @@ def connected(address: str) -> Iterator[Cluster]:
         from distributed.versions import VersionMismatchWarning
     except ImportError:
         raise ConfigError(
-            f"--cluster: found no Dask, expected the extra cluster: {how_to_install('cluster')}"
+            f"--cluster: found no Dask, expected the cluster extra: {how_to_install('cluster')}"
         ) from None
     # Its log would repeat our one line on several; `AHEAD` bounds what the scheduler holds.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -144,7 +144,7 @@ def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) ->
     for name, crc32 in program.items():
         if checksum(name) != crc32:
             raise ConfigError(
-                f"a worker of the cluster has a different {name} in {_folder(name)}, expected the same as here"
+                f"a cluster worker has a different {name} in {_folder(name)}, expected the same as on this machine"
             )
     cv2.setNumThreads(1)
     return fn(task)

@@ -208,7 +208,10 @@ def limits() -> Claims:
         yield line(title, (page.cell(f"{depth} mm", "ball, mean", profile) for profile in LIMITS_ORDER))
     for title, what in (
         ("least gap at which two bars are found as two objects, pitch 1.8 mm", "gap: two objects"),
-        ("least width of a ridge whose height is measured within 20 %, pitch 1.8 mm", "ridge: height within 20 %"),
+        (
+            "narrowest ridge whose height is measured to within 20 %, at a marker pitch of 1.8 mm",
+            "ridge: height within 20 %",
+        ),
     ):
         yield line(title, (page.cell("pitch 1.8", what, profile) for profile in LIMITS_ORDER))
     for title, what in (

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="also train the networks on the presses; takes minutes and needs the extra fit",
+        help="also train the networks on the presses; takes minutes and needs the fit extra",
     )
     parser.add_argument(
         "--labels",
@@ -146,7 +146,7 @@ def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[Kn
 def _fit() -> Callable[..., FitResult]:
     """Return the function that trains. Raises ConfigError if PyTorch is not installed."""
     if importlib.util.find_spec("torch") is None:  # an extra: large, and needed only here
-        raise ConfigError(f"--fit: found no PyTorch, expected the extra fit: {how_to_install('fit')}")
+        raise ConfigError(f"--fit: found no PyTorch, expected the fit extra: {how_to_install('fit')}")
     from tacshade_edge.fitting.fit import fit
 
     return fit

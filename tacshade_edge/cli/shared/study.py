@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Declare ``--cluster``, to use the workers of other machines."""
-    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the extra cluster)"
+    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the cluster extra)"
     parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
 
 

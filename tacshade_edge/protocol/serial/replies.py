@@ -48,7 +48,7 @@ class ReplyCache:
             return Repeat(known.reply)
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
         if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be gone: it may have been executed
-            text = f"found an old line number, expected one after #{self._newest}, or HELLO"
+            text = f"found a used line number, expected HELLO or one above #{self._newest}"
             return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
             self._newest = seq

@@ -134,7 +134,7 @@ def _row(where: str, columns: list[str]) -> Row:
     name, time, *pose = columns[: len(HEADER)]
     error = "".join(columns[len(HEADER) :])
     if not name:
-        raise ConfigError(f"{where}: image: found nothing, expected a file's name, or a frame's number in a video")
+        raise ConfigError(f"{where}: image: found nothing, expected a file name or the number of a video frame")
     if not _whole(time, T_NS_MAX):
         raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
     empty = [text == "" for text in pose]

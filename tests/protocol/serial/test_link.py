@@ -157,7 +157,7 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     newest = 100 + 2 * REPLIES_KEPT - 1
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
-        f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected one after #{newest}, or HELLO"
+        f"ERR {newest - REPLIES_KEPT} STALE found a used line number, expected HELLO or one above #{newest}"
     ]
     assert len(desk.done) == 2 * REPLIES_KEPT
 

@@ -17,7 +17,7 @@ from tacshade_edge.types import Pose
     [
         ("", r"frames\.csv: found no rows, expected one per frame"),
         ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
-        (",1,,,,,,,\n", ":2: image: found nothing, expected a file's name"),
+        (",1,,,,,,,\n", ":2: image: found nothing, expected a file name"),
         ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
         ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
         ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
