@@ -116,7 +116,7 @@ class Outgoing:
         QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone listens (`has_listener`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
-        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large for the broker), or
+        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
         ``failed`` (displaced or lost while the broker was away). The newest payload is kept while the broker is away
         and is sent first afterwards, so that subscribers do not keep outdated data.
         """
