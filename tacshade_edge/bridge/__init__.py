@@ -1,1 +1,1 @@
-"""What sensors publish, in other tools' own protocols; a process of its own that costs the daemon one subscriber."""
+"""Serves what sensors publish in other tools' protocols; a separate process, so the daemon has one more subscriber."""

@@ -1,4 +1,4 @@
-"""Sensors in Foxglove and its kin: only what a viewer subscribes to is asked of the broker and encoded."""
+"""Shows sensors in Foxglove and compatible viewers; requests and encodes only the topics that viewers subscribe to."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _log = logging.getLogger(__name__)
 SENSORS_MAX: Final = 32
 SKIN_PERIOD_NS: Final = 200_000_000
 _LINES: Final = 64
-"""Small messages that wait for a viewer that does not keep up; of pictures and maps only the newest."""
+"""Number of small messages that wait for a slow viewer; of pictures and maps only the newest waits."""
 
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
 _PREVIEW_BYTES_MAX: Final = 1 << 20
 _JPEG: Final = b"\xff\xd8"
-# channel: what it is made of. Transforms ride along with whatever else is asked for.
+# channel: the sensor's topics that it is made from. Transforms are sent along with any other requested channel.
 _TOPICS: Final[dict[str, tuple[str, ...]]] = {
     "height": ("height",),
     "cloud": ("cloud",),
@@ -89,11 +89,11 @@ class _Sensor:
         self._kept: dict[str, Callable[[], Any]] = {}
 
     def close(self) -> None:
-        """Show it no more."""
+        """Withdraw the sensor's channels."""
         self._viewers.withdraw(list(self._channels.values()))
 
     def wanted(self) -> set[str]:
-        """Topics that somebody watches something of."""
+        """Return the MQTT topics that the watched channels need."""
         return {
             f"{self._base}/{topic}"
             for name, channel in self._channels.items()
@@ -102,18 +102,18 @@ class _Sensor:
         }
 
     def repeat(self) -> None:
-        """What does not come again by itself, for one who came later."""
+        """Send the kept messages again, for viewers that subscribed later: the sensor does not repeat them."""
         for name, message in self._kept.items():
             self._send(name, message)
 
     def place(self, info: Info) -> None:
-        """Take where its sensor is, and how it is built."""
+        """Take over the sensor's geometry and its place on the robot."""
         self._info, now_ns = info, time.time_ns()
         self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
         self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
 
     def hear(self, topic: str, payload: bytes) -> None:
-        """Send it to the viewers. Raises DecodeError."""
+        """Send a message from the sensor to the viewers. Raises DecodeError."""
         now_ns = time.time_ns()
         match topic:
             case "height":
@@ -162,7 +162,7 @@ class _Sensor:
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:
-            return  # the end of a contact is always shown
+            return  # maps in contact are thinned out; the end of a contact is always shown
         self._skin_ns = message.t_ns
         rows, cols = message.height_mm.shape
         grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
@@ -188,7 +188,7 @@ class _Sensor:
         self._send(name, message)
 
     def _send(self, name: str, message: Callable[[], Any], slot: str = "") -> None:
-        """Make and send a message that somebody watches. Raises DecodeError."""
+        """Make and send a message if a viewer watches its channel. Raises DecodeError."""
         channel = self._channels[name]
         if not self._viewers.watched(channel):
             return
@@ -201,7 +201,7 @@ class _Sensor:
 
 @dataclass(slots=True)
 class _Known:
-    """What a sensor has shown of itself; `shown` is it where viewers see it."""
+    """What a sensor has published about itself; `shown` holds its channels while viewers can see it."""
 
     state: State | Literal[""] = ""
     info: Info | None = None
@@ -209,11 +209,11 @@ class _Known:
 
     @property
     def rank(self) -> int:
-        """None without an `info`; a sensor that is calibrated, and one that lives, is none that somebody invented."""
+        """0 without an `info`; higher if the sensor is calibrated or alive, as an invented one hardly is."""
         return 0 if self.info is None else 1 + (self.info.geometry is not None) + (self.state in ALIVE)
 
     def close(self) -> None:
-        """Show it no more."""
+        """Withdraw the sensor's channels if it is shown."""
         if self.shown is not None:
             self.shown.close()
             self.shown = None
@@ -225,11 +225,11 @@ class FoxgloveBridge:
     Parameters
     ----------
     host, port : str, int
-        To listen on; port 0 is any free one.
+        Address to listen on; port 0 picks any free port.
     sensors : sequence of str
-        Sensors to show; empty is all that come.
+        Sensors to show; if empty, all that publish.
     follow : callable
-        Gets all topics that are wanted now.
+        Receives the set of all topics needed now.
 
     Attributes
     ----------
@@ -238,7 +238,7 @@ class FoxgloveBridge:
     Raises
     ------
     ConfigError
-        It cannot listen there.
+        The bridge cannot listen on this address.
     """
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
@@ -262,7 +262,7 @@ class FoxgloveBridge:
         self._viewers.stop()
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
-        """A message of the broker's."""
+        """Process a message from the broker."""
         if not (found := _TOPIC.fullmatch(topic)) or not payload:
             return
         sensor_id, rest = found.groups()
@@ -280,7 +280,7 @@ class FoxgloveBridge:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def poll(self) -> None:
-        """Follow what the viewers watch by now; call ten times a second."""
+        """Subscribe to what the viewers now watch; call this ten times a second."""
         if not self._changed.is_set():
             return
         self._changed.clear()
@@ -308,7 +308,7 @@ class FoxgloveBridge:
             self._choose()
 
     def _choose(self) -> None:
-        """Show those that have shown the most of themselves."""
+        """Show the sensors of the highest rank."""
         best = set(self._roster.best(SENSORS_MAX))
         for sensor_id, known in self._roster:
             if known.shown is not None and sensor_id not in best:

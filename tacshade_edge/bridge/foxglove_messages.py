@@ -1,6 +1,6 @@
-"""A sensor's messages in Foxglove's schemas: lengths and places in metres and times in Unix time, as viewers expect.
+"""A sensor's messages in Foxglove's schemas: lengths and positions in metres and Unix times, as viewers expect.
 
-Values that are only read as numbers stay in mm: a pixel of the image is h in mm.
+Values that people only read as numbers stay in mm: a pixel of the height image is h in mm.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tacshade_edge.types import Pose as RobotPose
 
 M_PER_MM: Final = 0.001
 SKIN_CELLS_MAX: Final = 48
-"""A side of the mesh: each of its corners is an object, and a thousand of them a viewer's frame."""
+"""Cells along a side of the mesh; few, because encoding makes a Python object of each vertex."""
 
 _DEEPEST_MM: Final = 3.0
 _COLOURS: Final = [
@@ -55,7 +55,7 @@ _CLOUD_POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 CONTACT_SCHEMA: Final = {
     "title": "tacshade.Contact",
     "type": "object",
-    # All but the codes may be null, which the viewers' JSON Schema has no word for.
+    # All values except the codes may be null, which the JSON Schema of viewers cannot express.
     "properties": {
         name: {"type": "number"}
         for name in (
@@ -70,18 +70,18 @@ Frame = Literal["base", "flange", "sensor"]
 
 
 def frame_name(sensor_id: str, frame: Frame) -> str:
-    """A sensor's own frame: two sensors' robots need not have one base."""
+    """The name of a frame of this sensor; each sensor has its own base, as their robots may differ."""
     return f"{sensor_id}/{frame}"
 
 
 def timestamp(wall_ns: int) -> Timestamp:
-    """Unix time."""
+    """Return a Unix time in ns as Foxglove's timestamp."""
     sec, nsec = divmod(wall_ns, 1_000_000_000)
     return Timestamp(sec=min(sec, 0xFFFFFFFF), nsec=nsec)
 
 
 def image(message: HeightMessage, sensor_id: str) -> RawImage:
-    """Of each cell h in mm as ``32FC1``; NaN outside the disc."""
+    """The height map as a ``32FC1`` image: h in mm at each cell, NaN outside the disc."""
     rows, cols = message.height_mm.shape
     return RawImage(
         timestamp=timestamp(message.wall_ns),
@@ -95,7 +95,7 @@ def image(message: HeightMessage, sensor_id: str) -> RawImage:
 
 
 def cloud(message: CloudMessage, sensor_id: str, frame: Frame = "sensor") -> PointCloud:
-    """Points in m, each with the number of its object."""
+    """The cloud's points in m, each with the number of its object."""
     points = np.empty(len(message.labels), _CLOUD_POINT)
     points["xyz"], points["object"] = message.points_mm * np.float32(M_PER_MM), message.labels
     return PointCloud(
@@ -109,12 +109,12 @@ def cloud(message: CloudMessage, sensor_id: str, frame: Frame = "sensor") -> Poi
 
 
 def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -> SceneUpdate:
-    """The skin as a mesh in m, coloured by its depth; empty before there is a calibration.
+    """The skin as a mesh in m, coloured by h; empty without a calibration.
 
     Parameters
     ----------
     height_mm : float32 (rows, cols)
-        Of every cell of `grid`; NaN outside the disc.
+        h at every cell of `grid`; NaN outside the disc.
     """
     if info.geometry is None:
         return SceneUpdate()
@@ -142,7 +142,7 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
 
 
 def untouched(info: Info) -> tuple[F32, Grid]:
-    """The height map of a skin at rest, 0 in the disc; one cell of NaN before there is a calibration."""
+    """The height map of the skin at rest, 0 in the disc; a single NaN cell without a calibration."""
     if info.geometry is None:
         return np.full((1, 1), np.nan, np.float32), Grid(1, 1, 0.0, 0.0, 1.0)
     geometry = info.geometry.geometry
@@ -154,7 +154,7 @@ def untouched(info: Info) -> tuple[F32, Grid]:
 
 
 def flange_T_sensor(info: Info, sensor_id: str, wall_ns: int) -> FrameTransforms:
-    """Where the sensor is on the robot; empty before there is a calibration."""
+    """The sensor's place on the robot's flange; empty without a calibration."""
     if info.geometry is None:
         return FrameTransforms()
     transform = _transform(info.geometry.flange_T_sensor, sensor_id, "flange", "sensor", wall_ns)
@@ -162,20 +162,20 @@ def flange_T_sensor(info: Info, sensor_id: str, wall_ns: int) -> FrameTransforms
 
 
 def base_T_flange(pose: RobotPose, sensor_id: str, wall_ns: int) -> FrameTransforms:
-    """Where the robot was when a frame was taken."""
+    """The robot's pose when the camera took the frame."""
     values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
     return FrameTransforms(transforms=[_transform(values, sensor_id, "base", "flange", wall_ns)])
 
 
 def picture(jpeg: bytes, sensor_id: str, wall_ns: int) -> CompressedImage:
-    """The camera's picture."""
+    """The camera's picture as a JPEG message."""
     return CompressedImage(
         timestamp=timestamp(wall_ns), frame_id=frame_name(sensor_id, "sensor"), data=jpeg, format="jpeg"
     )
 
 
 def log(topic: str, text: str, wall_ns: int, *, warns: bool) -> Log:
-    """A line of the log panel, of the topic it came from."""
+    """A line for the log panel, named after its topic."""
     level = LogLevel.Warning if warns else LogLevel.Info
     return Log(timestamp=timestamp(wall_ns), level=level, message=text, name=topic)
 

@@ -1,4 +1,4 @@
-"""Sensors' own counters and rates as Prometheus metrics: only what they publish anyway."""
+"""Serves the counters and rates that sensors publish as Prometheus metrics."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.received import ALIVE, STATES, Health, State, decode_health, decode_state
 
 FRESH_S: Final = 5.0
-"""`health` comes once a second; what is older is no sensor's present."""
+"""Age at which a sensor's `health`, published once a second, is out of date."""
 
 CONNECTIONS_MAX: Final = 16
-"""Each has a thread; what is more is closed at once."""
+"""Limit on connections, each of which has a thread; further ones are closed at once."""
 _SPEAK_S: Final = 5.0
 _POLL_S: Final = 0.1
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(state|health)")
@@ -40,14 +40,14 @@ class _Sensor:
 
 
 class SensorMetrics:
-    """What sensors said last; a collector of a `prometheus_client.CollectorRegistry`.
+    """The sensors' latest states and counters, as a collector for a `prometheus_client.CollectorRegistry`.
 
     Parameters
     ----------
     sensors : sequence of str
-        Sensors to report on; empty is all that come.
+        Sensors to report on; if empty, all that publish.
     clock_s : callable
-        Reports the age of what was heard.
+        Monotonic clock in s, from which the age of a message is computed.
     """
 
     def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:
@@ -58,7 +58,7 @@ class SensorMetrics:
         self._refusals = Refusals(clock_s)
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """A message of the broker's. A retained `health` is of another time: it shows that the sensor has one."""
+        """Process a message from the broker. A retained `health` may be old: it only shows that the sensor has one."""
         if not (found := _TOPIC.fullmatch(topic)):
             return
         sensor_id, name = found.groups()
@@ -72,7 +72,7 @@ class SensorMetrics:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics of this moment; of a sensor that is silent or gone only that it is."""
+        """Yield all current metrics; of a silent or stopped sensor only whether it is up and its state."""
         with self._lock:
             sensors = list(self._sensors)
             refused = dict(self._refusals.counts)
@@ -84,7 +84,7 @@ class SensorMetrics:
         )
         state = GaugeMetricFamily("tacshade_state", "1 for the current state", labels=["sensor", "state"])
         for name, sensor in sensors:
-            # What never published a health is a replay's results; what stopped did so on purpose.
+            # A sensor that never published its health is a replay; one that stopped did so on purpose.
             if sensor.has_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
@@ -120,7 +120,7 @@ class SensorMetrics:
         return sensor
 
     def _is_alive(self, sensor: _Sensor) -> bool:
-        """Its state is not known where another name had its place when that came."""
+        """Whether the sensor runs and its health is fresh; its state is unknown if the roster was full when it came."""
         return sensor.state in (*ALIVE, "") and self._clock_s() - sensor.heard_s <= FRESH_S
 
     def _rank(self, sensor: _Sensor) -> int:
@@ -128,12 +128,12 @@ class SensorMetrics:
 
 
 class MetricsServer(ThreadingHTTPServer):
-    """Serves a registry in a thread of its own, and one for each connection, of which there are few.
+    """Serves a registry in its own thread, plus a thread for each of at most `CONNECTIONS_MAX` connections.
 
     Raises
     ------
     OSError
-        It cannot listen there.
+        The server cannot listen on this address.
     """
 
     request_queue_size = CONNECTIONS_MAX
@@ -141,7 +141,7 @@ class MetricsServer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
         handler = MetricsHandler.factory(registry)
         handler.timeout = _SPEAK_S
-        # Not bound by the base: it would ask a name server for its own name.
+        # HTTPServer would query a name server for the host's own name when it binds, so skip its constructor.
         socketserver.TCPServer.__init__(self, (host, port), handler, bind_and_activate=False)
         self.socket.close()
         self.socket = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
@@ -152,12 +152,12 @@ class MetricsServer(ThreadingHTTPServer):
         self._thread.start()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A reader that went away is no news; anything else leaves the thread."""
+        """Ignore a client that disconnected; let any other error end the thread."""
         if not isinstance(error := sys.exception(), OSError) and error is not None:
             raise error
 
     def stop(self) -> None:
-        """End it, whoever is connected."""
+        """Stop the server, even while clients are connected."""
         self.shutdown()
         self.server_close()
         self._thread.join()
@@ -182,7 +182,7 @@ def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
     yield gauge("tacshade_capture_fps", "Frames per second that the camera delivered", "capture_fps")
     yield gauge("tacshade_delivered_fps", "Frames per second that ended as they should", "delivered_fps")
     yield gauge("tacshade_published_fps", "Frames per second that were published", "published_fps")
-    # Not `captured`, their sum; `pending` is no outcome yet, and falls again.
+    # `captured` is left out, as it is the sum; `pending` is not an outcome and may fall, so it is a gauge.
     family = CounterMetricFamily("tacshade_frames", "Captured frames, by outcome", labels=["sensor", "outcome"])
     waiting = GaugeMetricFamily("tacshade_frames_pending", "Frames in progress", labels=["sensor"])
     lost = CounterMetricFamily("tacshade_source_dropped", "Frames that never reached the daemon", labels=["sensor"])

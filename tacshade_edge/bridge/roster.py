@@ -1,4 +1,4 @@
-"""Which sensors a bridge holds, and what it refuses: whoever reaches the broker can invent names and payloads."""
+"""The sensors that a bridge holds and the messages it refuses: any client of the broker can invent either."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ T = TypeVar("T")
 
 
 class Roster(Generic[T]):
-    """At most so many sensors; one that has shown more of itself comes in for one that has shown less.
+    """At most `SENSORS_MAX` sensors; when it is full, a sensor of higher rank replaces the one of lowest rank.
 
     Parameters
     ----------
     make : callable
-        ``make(sensor_id)`` gives what is held of a new sensor.
+        ``make(sensor_id)`` returns the value to hold for a new sensor.
     rank : callable
-        How much it has shown, the more the higher.
+        ``rank(value)`` returns how likely the sensor is real: the more it has published, the higher.
     close : callable, optional
-        What goes is given to it.
+        ``close(value)`` is called when a sensor is dropped.
     """
 
     def __init__(
@@ -39,19 +39,19 @@ class Roster(Generic[T]):
         self._sensors: dict[str, T] = {}
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
-        """Names and sensors, by name."""
+        """Iterate over names and values, sorted by name."""
         return iter(sorted(self._sensors.items(), key=lambda item: item[0]))
 
     def get(self, sensor_id: str) -> T | None:
-        """A sensor that is held."""
+        """Return the value held for a sensor, or None if it is not held."""
         return self._sensors.get(sensor_id)
 
     def best(self, count: int) -> list[str]:
-        """Names of those that have shown the most; of equals who came first."""
+        """Return the names of the `count` sensors of highest rank; among equals, the earliest come first."""
         return sorted(self._sensors, key=lambda name: -self._rank(self._sensors[name]))[:count]
 
     def of(self, sensor_id: str, rank: int) -> T | None:
-        """A sensor; a new one has `rank` by the message that it comes with, and None is for whom there is no room."""
+        """Return a sensor's value, None if there is no room; a new sensor enters with the `rank` of its message."""
         if sensor_id not in self._sensors:
             if len(self._sensors) >= SENSORS_MAX:
                 least = min(self._sensors, key=lambda name: self._rank(self._sensors[name]))
@@ -62,13 +62,13 @@ class Roster(Generic[T]):
         return self._sensors[sensor_id]
 
     def drop(self, sensor_id: str) -> None:
-        """It was dismissed, or gives way."""
+        """Drop a sensor and close its value."""
         if (sensor := self._sensors.pop(sensor_id, None)) is not None:
             self._close(sensor)
 
 
 class Refusals:
-    """Counts what was refused, by why; the log gets what is new of a sensor, at most a line a second.
+    """Counts refused messages by reason; logs a sensor's refusal when its text is new, at most one line a second.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Refusals:
         self.counts: Counter[str] = Counter(undecodable=0, no_room=0)
 
     def add(self, why: str, sensor_id: str, text: str) -> None:
-        """One more; `why` is a key of `counts`."""
+        """Count a refusal; `why` is a key of `counts`."""
         self.counts[why] += 1
         if self._said.get(sensor_id) == text:
             return

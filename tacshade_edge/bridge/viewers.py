@@ -1,7 +1,7 @@
-"""Foxglove's WebSocket protocol, with bounds: how many may look, and how much waits for one that is slow.
+"""Foxglove's WebSocket protocol with limits on the number of viewers and on the bytes that wait for a slow one.
 
-The SDK's own server counts the messages that wait, not their bytes, holds any number of connections and waits for
-those that say nothing when it ends; its encoders are used.
+The SDK's own server limits the number of waiting messages, not their bytes, accepts any number of connections, and
+waits for silent ones when it stops; so only the SDK's encoders are used.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ VIEWERS_MAX: Final = 16
 CONNECTIONS_MAX: Final = 48
 MESSAGE_BYTES_MAX: Final = 5 << 20
 WAITING_BYTES_MAX: Final = 8 << 20
-"""Of one viewer, beside what is being sent to it; the oldest go."""
+"""Limit on what waits for one viewer, besides the message being sent; the oldest messages are dropped."""
 _TEXTS_MAX: Final = 256
 _UNSENT_BYTES_MAX: Final = 2 * MESSAGE_BYTES_MAX
 _FROM_VIEWER_BYTES_MAX: Final = 1 << 16
@@ -49,15 +49,15 @@ _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What a viewer can look at.
+    """A stream of messages that a viewer can subscribe to.
 
     Attributes
     ----------
     topic : str
     schema : foxglove.Schema or dict
-        Of the SDK's, or a JSON Schema with a title.
+        A schema from the SDK, or a JSON Schema with a title.
     depth : int
-        Messages that wait for a viewer that is busy; the newest win.
+        Number of messages that wait for a busy viewer; newer ones replace older ones.
     """
 
     topic: str
@@ -65,7 +65,7 @@ class Channel:
     depth: int = 1
 
     def advertised(self, number: int) -> dict[str, Any]:
-        """As a viewer sees it."""
+        """The channel as the protocol's `advertise` describes it."""
         schema = self.schema
         if isinstance(schema, dict):
             words = ("json", schema["title"], "jsonschema", json.dumps(schema))
@@ -82,14 +82,14 @@ class _Viewer:
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     texts: deque[str] = field(default_factory=deque)
     channels: dict[int, int] = field(default_factory=dict)
-    """Of each channel that it watches, its own number of the subscription."""
+    """The viewer's subscription number for each channel that it watches."""
     waiting: OrderedDict[tuple[int, str], deque[tuple[int, bytes]]] = field(default_factory=OrderedDict)
     waiting_bytes: int = 0
     passed_over: int = 0
-    """Messages that newer ones took the place of."""
+    """Number of messages that newer ones replaced before they were sent."""
 
     def put(self, channel: int, slot: str, depth: int, log_ns: int, payload: bytes) -> None:
-        """Have it wait, in the place of what is older."""
+        """Queue a message, dropping older ones that exceed `depth` or `WAITING_BYTES_MAX`."""
         queue = self.waiting.setdefault((channel, slot), deque())
         queue.append((log_ns, payload))
         self.waiting_bytes += len(payload)
@@ -101,7 +101,7 @@ class _Viewer:
             self.passed_over += 1
 
     def take(self) -> str | bytes | None:
-        """The next to send; None where there is none."""
+        """Return the next message to send, or None if nothing waits."""
         if self.texts:
             return self.texts.popleft()
         while self.waiting:
@@ -111,7 +111,7 @@ class _Viewer:
         return None
 
     def _pop(self) -> tuple[int, tuple[int, bytes]]:
-        """The oldest of the channel whose turn it is."""
+        """Remove and return the oldest message of the channel whose turn it is."""
         key, queue = self.waiting.popitem(last=False)
         message = queue.popleft()
         self.waiting_bytes -= len(message[1])
@@ -121,7 +121,7 @@ class _Viewer:
 
 
 class _Connection(ServerConnection):
-    """One that sends pings and reads no pong is closed."""
+    """A connection that closes when its client keeps sending pings without reading the pongs."""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -130,25 +130,25 @@ class _Connection(ServerConnection):
 
 
 class Viewers:
-    """Serves channels to viewers, in a thread of its own.
+    """Serves channels to viewers in its own thread.
 
     Parameters
     ----------
     host, port : str, int
-        To listen on; port 0 is any free one.
+        Address to listen on; port 0 picks any free port.
     on_change : callable
-        Somebody begins or ends to watch a channel; called in the server's thread.
+        Called in the server's thread when a viewer starts or stops watching a channel.
 
     Attributes
     ----------
     port : int
     passed_over : int
-        Messages that viewers who have left were too slow for; newer ones took their place.
+        Number of messages that former viewers were too slow to receive; newer ones replaced them.
 
     Raises
     ------
     OSError
-        It cannot listen there.
+        The server cannot listen on this address.
     """
 
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:
@@ -168,12 +168,12 @@ class Viewers:
         listening.wait(_START_S)
 
     def stop(self) -> None:
-        """Close the viewers' connections, whatever they do."""
+        """Close the viewers' connections, even if they do not respond."""
         self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join()
 
     def advertise(self, channels: Sequence[Channel]) -> list[int]:
-        """Offer channels; their numbers."""
+        """Offer channels to the viewers and return the channels' numbers."""
         with self._lock:
             numbers = list(range(self._number, self._number + len(channels)))
             self._number += len(channels)
@@ -182,7 +182,7 @@ class Viewers:
         return numbers
 
     def withdraw(self, numbers: Sequence[int]) -> None:
-        """Offer them no more."""
+        """Stop offering these channels."""
         with self._lock:
             for number in numbers:
                 del self._channels[number]
@@ -196,7 +196,7 @@ class Viewers:
             return any(number in viewer.channels for viewer in self._viewers)
 
     def send(self, number: int, payload: bytes, slot: str = "") -> None:
-        """To all who watch it; of two that wait in one slot of a channel the newer wins."""
+        """Queue a message for all viewers of a channel; each slot of a channel keeps its newest `depth` messages."""
         log_ns = time.time_ns()
         with self._lock:
             depth = self._channels[number].depth
@@ -222,14 +222,14 @@ class Viewers:
         self._wake(viewer)
 
     def _wake(self, viewer: _Viewer) -> None:
-        with contextlib.suppress(RuntimeError):  # it has ended
+        with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(viewer.wake.set)
 
     # -- in the thread of the server --------------------------------------------------------------------------------
 
     def _run(self, listening: threading.Event) -> None:
         quiet = logging.getLogger("websockets.server.viewers")
-        quiet.setLevel(logging.CRITICAL)  # a port scanner is no news, and would be a traceback each
+        quiet.setLevel(logging.CRITICAL)  # each connection of a port scanner would log a traceback
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._serve(listening, quiet))
 
@@ -250,7 +250,7 @@ class Viewers:
         listening.set()
         await self._over.wait()
         server.close()
-        # A connection that never said anything would be waited for as long as it may take to speak.
+        # A silent connection would hold this up until its open timeout.
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(server.wait_closed(), 2 * _CLOSE_S)
 
@@ -283,7 +283,7 @@ class Viewers:
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:
-        """A slow viewer is waited for, here and nowhere else; one that takes nothing is closed."""
+        """Send a viewer's messages; only this waits for a slow viewer, and it disconnects one that reads nothing."""
         with contextlib.suppress(ConnectionClosed):
             while await viewer.wake.wait():
                 viewer.wake.clear()
@@ -301,7 +301,7 @@ class Viewers:
             return viewer.take()
 
     def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
-        """What a viewer wants; what cannot be understood is reported to it."""
+        """Process a viewer's request; if it is malformed, report that to the viewer."""
         try:
             wanted = decode_object("viewer", message.encode() if isinstance(message, str) else b"")
         except DecodeError as error:

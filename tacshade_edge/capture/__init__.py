@@ -1,1 +1,1 @@
-"""Taking references and presses of a sensor, with the person who presses: what `calibrate` then reads."""
+"""Takes a sensor's references and presses, which `calibrate` reads, in a dialogue with the person who presses."""

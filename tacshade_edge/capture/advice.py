@@ -1,4 +1,4 @@
-"""Which press would help most next, from those that were taken."""
+"""Advice, from the presses already taken, on which press would help most next."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tacshade_edge.storage.tables.tables import number
 
 @dataclass(frozen=True, slots=True)
 class _Taken:
-    """A `coverage.Pressed`."""
+    """A press as `coverage.Pressed` requires it."""
 
     place_mm: tuple[float, float]
     depth_mm: float
@@ -24,13 +24,13 @@ class _Taken:
 
 
 class Advice:
-    """Remembers the place of each picture that had to be looked at for it.
+    """Advice on the next press; it caches each press's place, which may have to be found in the picture.
 
     Parameters
     ----------
     folder : CaptureFolder
     indenters : mapping of str to Indenter or float
-        Of INDENTERS.yaml.
+        From INDENTERS.yaml.
     """
 
     def __init__(self, folder: CaptureFolder, indenters: Mapping[str, Indenter | float]) -> None:
@@ -39,14 +39,14 @@ class Advice:
         self._known: dict[TakenPress, _Taken] = {}
 
     def text(self, taken: Sequence[TakenPress], check: PressCheck) -> str:
-        """A line; empty before the first press.
+        """Return one line of advice; empty before the first press.
 
         Raises
         ------
         ConfigError
-            The table has something else than numbers, or a picture cannot be read.
+            The table has something other than a number, or a picture cannot be read.
         """
-        # One that was taken back is forgotten: another picture may get its name.
+        # Forget a press that was undone: another picture may get its name.
         self._known = {press: self._known.get(press) or self._look_at(press, check) for press in taken}
         return advice(list(self._known.values()), check.geometry) if taken else ""
 

@@ -1,4 +1,4 @@
-"""The camera and the person at once: every wait reads frames on, so that picture and figures stay those of now."""
+"""Camera and dialogue together: every wait keeps reading frames, so that picture and figures stay current."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.types import F32, U8, Disc, Frame
 
-# A picture stands still when it did for so long; so many frames of that time are compared, and those of rest.
+# The picture counts as still after `STILL_S` without motion, judged from as many frames as motion at rest is.
 STILL_S, STILL_FRAMES = 0.8, 10
-_LEAST_FRAMES = 5  # of a slow camera, whose time is longer then
+_LEAST_FRAMES = 5  # if a slow camera delivers fewer in `STILL_S`, a longer time is compared
 _RATE_FRAMES = 64
 _FIGURES_S, _PICTURE_S = 0.5, 0.2
-# Looking for the circle takes up to a second on a small board.
+# Finding the circle takes up to a second on a small board.
 _PATTERN_S = 4.0
 _HINT_S = 5.0
 _UNUSABLE_MAX = 100
@@ -33,7 +33,7 @@ _UNUSABLE_MAX = 100
 
 @dataclass(frozen=True, slots=True)
 class _Past:
-    """What is kept of a frame."""
+    """The parts of a past frame that motion and rate need."""
 
     seq: int
     t_ns: int
@@ -41,27 +41,27 @@ class _Past:
 
 
 class Live:
-    """An open source that is read on, whatever is waited for.
+    """An open source whose frames are read during every wait.
 
     Parameters
     ----------
     source : FrameSource
-        Open.
+        Already open.
     terminal : Terminal
     page : Page
     circle : Disc, optional
-        The visible circle that is stated already.
+        The visible circle that is already stated.
     state_circle : callable
-        Keeps the circle that the person clicked, or that none is stated any more. It may raise ConfigError.
+        Stores the circle that the person clicked, or None to state no circle. It may raise ConfigError.
 
     Attributes
     ----------
     rest_grey : float
-        `motion_grey` of the references, which are `STILL_FRAMES`; 0 until there are some.
+        `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that.
     note : str
         A line that the page shows below the figures.
     circle : Disc or None
-        The visible circle that is stated; None: it is found.
+        The stated visible circle; None if it is found in the picture.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Live:
         self._past: deque[_Past] = deque(maxlen=_RATE_FRAMES)
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
-        self._looking = False  # lens and circle may be moved
+        self._looking = False  # whether the person may be adjusting lens and circle
         self._focus_best = 0.0
         self._text = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
@@ -86,15 +86,15 @@ class Live:
         self.note = ""
         self.circle = circle
         self._state_circle = state_circle
-        self._unkept = ""  # why a clicked circle is not stated
+        self._unkept = ""  # why a clicked circle was rejected
 
     def frame(self) -> Frame:
-        """The next frame.
+        """Read the next frame.
 
         Raises
         ------
         DeviceError
-            The camera was lost, gives nothing that can be used, or has ended.
+            The camera was lost, delivers only unusable pictures, changed its size, or the source has ended.
         """
         for _ in range(_UNUSABLE_MAX):
             try:
@@ -109,13 +109,13 @@ class Live:
         raise DeviceError(f"found {_UNUSABLE_MAX} unusable pictures in a row")
 
     def ask(self, text: str, *, with_figures: bool = False) -> str:
-        """Ask for a line, and read frames until it was typed. Raises InputEnded and as `frame`.
+        """Ask for a line and read frames until the person has typed it. Raises InputEnded, and as `frame`.
 
         Parameters
         ----------
         text : str
         with_figures : bool
-            Show the figures live in place of a prompt, where only Enter is waited for.
+            Show the figures live in place of a prompt, for questions that only Enter answers.
         """
         self._looking = with_figures
         (self._terminal.say if with_figures else self._terminal.ask)(text)
@@ -128,12 +128,12 @@ class Live:
                 return line
 
     def still_frame(self, limit_s: float = math.inf) -> Frame | None:
-        """The first frame of a picture that stands still from now on; None when a line was typed instead.
+        """Wait until the picture stands still and return that frame; None if the person typed a line first.
 
         Raises
         ------
         DeviceError
-            It did not within the limit, and as `frame`.
+            The picture did not settle within `limit_s`; and as `frame`.
         """
         self._past.clear()
         began_s, hinted = time.monotonic(), False
@@ -152,7 +152,7 @@ class Live:
                 self._terminal.say(f"  the picture still moves ({figures}): clamp the indenter; Enter cancels")
 
     def frames(self, count: int, seconds: float) -> list[Frame]:
-        """So many frames, spread over a time at least."""
+        """Return `count` frames spread over at least `seconds`."""
         taken = [self.frame()]
         while len(taken) < count:
             frame = self.frame()
@@ -166,17 +166,17 @@ class Live:
         return self.circle is not None or self._pattern is not None
 
     def figures(self) -> str:
-        """Disc, focus, light, contrast and rate, in a line."""
+        """Disc, focus, contrast, saturation and rate in one line."""
         return self._text
 
     def _motion_grey(self) -> float | None:
-        """Of the last `STILL_S`; None while there is less."""
+        """Motion within the last `STILL_S`, in grey levels; None until enough frames have come."""
         newest_ns = self._past[-1].t_ns
         recent = [one.blocks for one in self._past if newest_ns - one.t_ns <= 1e9 * STILL_S]
         if len(recent) < _LEAST_FRAMES:
             recent = [one.blocks for one in self._past][-_LEAST_FRAMES - 1 :]
         if len(recent) == len(self._past) < _RATE_FRAMES:
-            return None  # the past is not that long yet
+            return None  # the frames do not reach back far enough yet
         spread = np.linspace(0, len(recent) - 1, STILL_FRAMES).round().astype(int)
         return motion_grey([recent[k] for k in spread])
 
@@ -240,7 +240,7 @@ class Live:
         )
 
     def _rate(self) -> float:
-        """Frames per second that the camera made, those that were not read included."""
+        """Frames per second that the camera took, including those that were not read."""
         if len(self._past) < 2 or self._past[-1].t_ns <= self._past[0].t_ns:
             return 0.0
         first, last = self._past[0], self._past[-1]
@@ -248,7 +248,7 @@ class Live:
 
 
 def _jpeg(grey: U8, disc: Disc | None) -> bytes:
-    """The picture, with the circle that was found."""
+    """Encode the picture as JPEG, with the circle drawn in."""
     picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     if disc is not None:
         centre = (round(disc.col_c), round(disc.row_c))

@@ -1,6 +1,6 @@
-"""What the camera sees, for a browser on this machine: the picture, the same figures as in the terminal, the circle.
+"""A page for a browser on this machine: the camera's picture with the circle, and the figures of the terminal.
 
-Three clicks on the picture state the visible circle.
+The person states the visible circle by three clicks on the picture.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Disc
 
 PORT: Final = 8081
-"""Of the page; a free one where it is taken."""
+"""Port of the page; if it is taken, the page uses a free one."""
 
 _TIMEOUT_S = 5.0
 _BODY_MOST = 512
-# A site may give its own name this machine's address (DNS rebinding): the browser then states that name as the host.
+# A site may resolve its own name to this machine (DNS rebinding): the browser then sends that name as the host.
 _HOSTS = ("127.0.0.1", "localhost")
 _HTML = b"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -88,7 +88,7 @@ look();
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the page shows: a JPEG, a text, and the picture's rows and columns."""
+    """The content of the page: a JPEG, a text, and the picture's rows and columns."""
 
     picture: bytes = b""
     text: str = "the camera has delivered no picture yet"
@@ -100,29 +100,29 @@ _Point = tuple[_Pixel, _Pixel]
 
 
 class CircleRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Three points (row, col) of the visible circle's rim in the picture; null: the circle that is found."""
+    """Three points (row, col) in px on the visible circle's rim; null to use the circle found in the picture."""
 
     points: tuple[_Point, _Point, _Point] | None
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The visible circle that the person wants; None: the one that is found."""
+    """The visible circle that the person chose; None to use the circle found in the picture."""
 
     circle: Disc | None
 
 
 class Page:
-    """Serves on the loopback interface until it is closed, in threads of its own.
+    """A page served on the loopback interface by separate threads until `close`.
 
-    They read `shown`, and leave in `chosen` what the person clicked.
+    The threads read `shown` and put the person's clicks into `chosen`.
 
     Attributes
     ----------
     shown : Shown
-        Replaced by the program, never changed.
+        The program replaces it and never changes it.
     chosen : deque of Chosen
-        The newest, until the program takes it.
+        The latest choice until the program takes it.
     """
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class Page:
 
     @property
     def address(self) -> str:
-        """To be opened."""
+        """URL of the page."""
         return f"http://127.0.0.1:{self._server.server_address[1]}/"
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _TIMEOUT_S
 
     def do_GET(self) -> None:
-        """Answer with what there is now, to pages of this machine."""
+        """Answer requests from this machine's pages with the current content."""
         if not self._is_ours():
             self.send_error(403)
             return
@@ -169,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(200 if body else 404, kind, body)
 
     def do_POST(self) -> None:
-        """Take the circle that was clicked, from this page alone: a page of another site states its own origin."""
+        """Accept a clicked circle from this page only: another site's page sends its own origin."""
         if not self._is_ours() or self.headers.get("Origin", "").lower() != f"http://{self.headers['Host'].lower()}":
             self.send_error(403)
             return
@@ -206,9 +206,9 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal is the person's."""
+        """Print nothing: the terminal belongs to the dialogue."""
 
 
 def _rounded(disc: Disc) -> Disc:
-    """To what a click can state, and a person reads."""
+    """Round the circle to 0.1 px, as exactly as a click can state it."""
     return Disc(round(disc.row_c, 1), round(disc.col_c, 1), round(disc.radius_px, 1))

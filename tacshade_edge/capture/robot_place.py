@@ -1,4 +1,4 @@
-"""Where and how deep a press is, from the poses of a robot that presses the sensor on an indenter that stands still."""
+"""Place and depth of a press, from the poses of a robot that presses the sensor onto a fixed indenter."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import Frame, Pose
 
 PoseAt = Callable[[Frame], Pose | str]
-"""``pose_at(frame)``: ``base_T_flange`` when the frame was taken, or why it is not known."""
+"""``pose_at(frame)``: ``base_T_flange`` when the frame was taken, or why it is unknown."""
 
-# An indenter that is no ball and is tilted more would need the columns of its tilt.
+# Beyond this turn, a press by any indenter other than a ball would need its tilt columns.
 _TURN_MOST_DEG = 0.5
 
 Name = tuple[str, str]
-"""Indenter and radius, as PRESSES.csv has them."""
+"""Indenter and radius, as in PRESSES.csv."""
 
 
 class RobotPlaces:
-    """Each indenter's place is stated by one press that was typed; the robot's poses give the others.
+    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others.
 
     Parameters
     ----------
     sensor : Sensor
-        With ``flange_T_sensor``.
+        Has ``flange_T_sensor``.
     pose_at : PoseAt
     """
 
@@ -38,11 +38,11 @@ class RobotPlaces:
         self._fixed: dict[Name, FixedIndenter] = {}
 
     def known(self, name: Name) -> bool:
-        """Whether a press of this indenter was learnt."""
+        """Whether this indenter's place is known from a typed press."""
         return name in self._fixed
 
     def learn(self, columns: Sequence[str], frame: Frame) -> str:
-        """Take the place of an indenter from a press that was stated; why it cannot be, or empty."""
+        """Learn an indenter's place from a typed press; return why that fails, or an empty string."""
         indenter, radius_mm, depth_mm, x_mm, y_mm, *more = columns
         if not x_mm or any(more):
             return ""
@@ -56,7 +56,7 @@ class RobotPlaces:
         return ""
 
     def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:
-        """What PRESSES.csv has of a press of a learnt indenter. Raises ConfigError."""
+        """Return the columns of PRESSES.csv for a press of a known indenter. Raises ConfigError."""
         fixed, held = self._fixed[name], self._base_T_sensor(frame)
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
             expected = f"expected at most {_TURN_MOST_DEG} for any shape but a ball"
@@ -72,7 +72,7 @@ class RobotPlaces:
 
 
 def base_T_sensor(pose: Pose | str, flange_T_sensor: Rigid) -> Rigid:
-    """Where a robot's pose has the sensor. Raises ConfigError: why the pose is not known."""
+    """Return the sensor's pose in the robot's base frame. Raises ConfigError with the reason if it is unknown."""
     if isinstance(pose, str):
         raise ConfigError(pose)
     return of_pose(pose) @ flange_T_sensor

@@ -1,4 +1,4 @@
-"""The dialogue of a capture: look, references, presses. Every answer can be taken back, and a later start goes on."""
+"""The dialogue of a capture: look, references, presses. Every press can be undone, and a later run continues."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ _HELP = """  Press the indenter in and hold it, type what it is, then Enter; the
 
 @dataclass(frozen=True, slots=True)
 class _Offer:
-    """What Enter alone stands for."""
+    """The press that Enter alone takes."""
 
     press: Stated
     is_planned: bool
 
 
 class Session:
-    """One start of the command, over a folder that may hold an earlier one's work.
+    """One run of the command on a folder that may already hold an earlier run's presses.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ class Session:
     live : Live
     terminal : Terminal
     plan : sequence of Stated
-        Presses to be offered one after the other; none: each is typed.
+        Presses to suggest one after the other; if empty, the person types each.
     indenters : mapping of str to Indenter or float
-        Those besides the ball.
+        All indenters except the ball.
     robot : RobotPlaces, optional
-        Gives place and depth, where a robot presses.
+        Gives place and depth if a robot presses.
     """
 
     def __init__(
@@ -93,32 +93,32 @@ class Session:
         self._advice = Advice(folder, indenters)
         self._taken = folder.taken()
         self._taken_back: Stated | None = None
-        self._circle = live.circle  # that the references were judged with
+        self._circle = live.circle  # the circle used to judge the references
 
     @property
     def taken(self) -> Sequence[TakenPress]:
-        """The presses that are in the table."""
+        """The presses in the table."""
         return self._taken
 
     @property
     def circle_changed(self) -> bool:
-        """Whether another visible circle was stated since the references were judged."""
+        """Whether the stated visible circle has changed since the references were judged."""
         return self._live.circle != self._circle
 
     def run(self) -> None:
-        """Take references, where there are none, and presses until the person ends it.
+        """Take references if there are none, then presses until the person ends the run.
 
         Raises
         ------
         InputEnded, DeviceError, ConfigError
-            What was taken until then is in the folder.
+            The folder keeps what was taken before.
         """
         check = self._check(self.unloaded())
         self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
             if self.circle_changed:
-                # Every place in the pictures is another one now.
+                # Every place found in a picture depends on the circle.
                 self._advice = Advice(self._folder, self._names)
                 check = self._check(self.unloaded())
                 self._advise(check)
@@ -140,13 +140,13 @@ class Session:
                     self._press(words, check)
 
     def unloaded(self) -> Calibration:
-        """What the references show, which are taken where there are none. Raises as `run`."""
+        """Return the calibration from the references, taking them first if there are none. Raises as `run`."""
         images = self._folder.references()
         checked = self._checked_again(images) if len(images) >= REFERENCES else None
         return checked or self._take_references()
 
     def keep(self, image: U8, press: Stated, check: PressCheck) -> str:
-        """Write a press down that `calibrate` would take: empty, or why it would not."""
+        """Save a press that `calibrate` would accept; return why it would not, or an empty string."""
         judged = check.judge(image)
         if reason := _refusal(judged):
             return reason
@@ -190,7 +190,7 @@ class Session:
             return unloaded
 
     def _unloaded(self, images: Sequence[U8]) -> Calibration:
-        """What the references show. Raises ConfigError when they can be none."""
+        """Calibrate from references alone. Raises ConfigError if the images cannot serve as references."""
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
             found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
@@ -214,7 +214,7 @@ class Session:
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
 
     def _left(self) -> list[Stated]:
-        """Planned presses that were not taken yet, in their order."""
+        """Planned presses that are not taken yet, in their order."""
         taken = Counter(one.stated for one in self._taken)
         left = []
         for press in self._plan:
@@ -247,7 +247,7 @@ class Session:
             return
         self._folder.remove(self._taken, chosen[0])
         self._taken = [one for one in self._taken if one is not chosen[0]]
-        # A robot may have gone on meanwhile: its pose is asked for anew.
+        # The robot may have moved since: the next press needs its new pose.
         self._taken_back = None if self._at_robot() else chosen[0].stated
         self._terminal.say(f"  removed {chosen[0].image}")
 
@@ -276,26 +276,26 @@ class Session:
         self._advise(check)
 
     def _advise(self, check: PressCheck) -> None:
-        """Say which press helps most next; a plan knows by itself."""
+        """Show which press helps most next; print it only if no planned press is left."""
         self._live.note = self._advice.text(self._taken, check)
         if self._live.note and not self._left():
             self._terminal.say(f"  {self._live.note}")
 
     def _at_robot(self) -> Name | None:
-        """The indenter of the last press, where the robot states place and depth of the next; None elsewhere."""
+        """The last press's indenter if the robot gives place and depth of its next press, otherwise None."""
         if not self._robot or not self._taken:
             return None
         name = self._taken[-1].stated.columns[:2]
         return (name[0], name[1]) if self._robot.known((name[0], name[1])) else None
 
     def _stated_by_robot(self, name: Name, frame: Frame) -> Stated:
-        """The press of an indenter at the robot's pose. Raises ConfigError."""
+        """Return the press of an indenter at the robot's pose. Raises ConfigError."""
         if self._robot is None:
             raise AssertionError("nobody asked for a robot's pose")
         return stated("press", self._robot.columns(name, frame), self._names, self._sensor.skin_radius_mm)
 
     def _asked(self, words: Sequence[str]) -> Stated | Name:
-        """What was typed, with what it leaves out; an indenter alone, where the robot states the rest.
+        """Return the typed press, completed from the last one; only its indenter if the robot gives the rest.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class Session:
         return stated("press", columns, self._names, self._sensor.skin_radius_mm)
 
     def _indenter(self, words: Sequence[str]) -> tuple[str, str, Sequence[str]]:
-        """Name, radius and the other words."""
+        """Return the indenter's name, its radius and the remaining words."""
         if words[0] == BALL:
             return BALL, words[1] if len(words) > 1 else "", words[2:]
         if words[0] in self._names or not words[0].replace(".", "").replace("-", "").isdigit():
@@ -331,7 +331,7 @@ class Session:
 
 
 def _refusal(judged: Judgement) -> str:
-    """Why `calibrate` would leave a press out; empty when it would not."""
+    """Return why `calibrate` would leave a press out; empty if it would not."""
     if judged.unusable:
         return f"the picture is unusable: {judged.unusable}"
     if judged.moved:

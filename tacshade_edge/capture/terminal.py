@@ -1,4 +1,4 @@
-"""A dialogue in lines while something else goes on: nothing here waits for the person."""
+"""A dialogue in lines during other work: only `wait` waits for the person."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _CLEAR: Final = "\r\x1b[K"
 
 
 class InputEnded(Exception):
-    """The person ended the dialogue (Ctrl-D), or the pipe that speaks for one."""
+    """The person ended the dialogue (Ctrl-D), or the pipe in place of a person has closed."""
 
 
 class Terminal:
-    """Lines from a file descriptor, lines to a stream.
+    """A terminal that reads lines from a file descriptor and writes lines to a stream.
 
     Parameters
     ----------
     descriptor : int
-        In place of standard input.
+        Source of the lines, such as standard input.
     out : TextIO
     """
 
@@ -37,10 +37,10 @@ class Terminal:
 
     @contextlib.contextmanager
     def keys(self) -> Iterator[None]:
-        """Within this, any key is a line of its own, and what was typed before is forgotten."""
+        """Within this context, any key counts as a line; keys typed before are discarded."""
         before = termios.tcgetattr(self._descriptor) if os.isatty(self._descriptor) else None
         if before is not None:
-            tty.setcbreak(self._descriptor)  # forgets what waits to be read
+            tty.setcbreak(self._descriptor)  # discards unread input
         self._keys, self._typed = True, b""
         try:
             yield
@@ -50,7 +50,7 @@ class Terminal:
                 termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, before)
 
     def line(self) -> str | None:
-        """A line that was typed meanwhile, stripped; None while there is none. Raises InputEnded."""
+        """Return the next typed line, stripped; None if there is none yet. Raises InputEnded."""
         if b"\n" not in self._typed and select.select([self._descriptor], [], [], 0)[0]:
             data = os.read(self._descriptor, 4096)
             if not data:
@@ -63,23 +63,23 @@ class Terminal:
         return line.decode(errors="replace").strip()
 
     def wait(self) -> str:
-        """The next line, where nothing else goes on. Raises InputEnded."""
+        """Wait for the next line and return it; nothing else runs meanwhile. Raises InputEnded."""
         while (line := self.line()) is None:
             select.select([self._descriptor], [], [])
         return line
 
     def say(self, text: str) -> None:
-        """Print a line, in place of a passing one."""
+        """Print a line; it replaces one printed by `show`."""
         print(f"{_CLEAR if self._shown else ''}{text}", file=self._out, flush=True)
         self._shown = ""
 
     def ask(self, text: str) -> None:
-        """Print what stands before the person's line."""
+        """Print a prompt for the person's line."""
         print(f"{_CLEAR if self._shown else ''}{text} ", end="", file=self._out, flush=True)
         self._shown = ""
 
     def show(self, text: str) -> None:
-        """Show a line that the next takes the place of; only where a person looks."""
+        """Show a line that the next one replaces; only if the output is a terminal."""
         if self._is_live and text != self._shown:
             print(f"{_CLEAR}{text[: self._columns() - 1]}", end="", file=self._out, flush=True)
             self._shown = text

@@ -1,4 +1,4 @@
-"""The command line: parse, call, print. One module per command, imported only when it is asked for."""
+"""The command line: parses arguments, runs a command and prints its errors; imports only that command's module."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped
 from tacshade_edge.version import installed_version
 
-_CHARS_MAX = 4000  # of an error: it may list what was expected
+_CHARS_MAX = 4000  # length of a printed error, which may list all expected values
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
@@ -39,7 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class _Version(argparse.Action):
-    """Looks for the version only when it is asked for."""
+    """Prints the version; looks it up only when requested."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         print(f"{parser.prog} {installed_version()}")
@@ -47,7 +47,7 @@ class _Version(argparse.Action):
 
 
 def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
-    """The parser of the command line, and the modules of those commands that are wanted: others have no options."""
+    """Return the command line's parser and the modules of the wanted commands; only these get their options."""
     parser = Parser(
         prog="tacshade-edge",
         description="Metric shape from touch for TacShade sensors.",
@@ -67,7 +67,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the process's exit code.
 
-    0 done; 1 failed; 2 usage; 78 bad configuration, which systemd must not restart.
+    0: done; 1: failed; 2: wrong usage; 78: bad configuration, after which systemd must not restart the daemon.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     chosen = next((w for w in words if not w.startswith("-")), None)
@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TacshadeError as error:
         print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
         return EXIT_FAILED
-    except BrokenPipeError:  # the reader of our output went away, as `| head` does
+    except BrokenPipeError:  # the reader of our output closed it, as `| head` does
         sys.stderr.close()
         return EXIT_FAILED
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The process around a command: refused where it cannot work, and ended with its exit code whatever is left of it."""
+"""The process around a command: refuses limits that are too low, and exits with the command's code in any case."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from typing import NoReturn
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
 
-# Most of it is never used: libraries, and the threads' stacks and heaps. Below, OpenCV ends in a segmentation fault
-# while it is loaded, and OpenBLAS ends the process later.
+# Libraries and the threads' stacks and heaps reserve it; most is never used. With less, OpenCV crashes with a
+# segmentation fault as it is loaded, or OpenBLAS ends the process later.
 ADDRESS_SPACE_BYTES_MIN = 1 << 30
 
-# A hand of 16 sensors with a robot has about 100 in its supervisor.
+# The supervisor of a hand with 16 sensors and a robot opens about 100 files.
 OPEN_FILES_MIN = 128
 
 
 def entry() -> NoReturn:
-    """Do what the command line says; the signals are ``tacshade_edge.__main__``'s."""
+    """Run the command line and exit; ``tacshade_edge.__main__`` sets up the signals."""
     limit_bytes, _ = resource.getrlimit(resource.RLIMIT_AS)
     if 0 <= limit_bytes < ADDRESS_SPACE_BYTES_MIN:
         found = f"found {limit_bytes >> 20} MiB of address space (ulimit -v, RLIMIT_AS)"
@@ -40,16 +40,16 @@ def entry() -> NoReturn:
 def leave(code: int) -> NoReturn:
     """End the process with this exit code.
 
-    A thread may be left: in a driver that hangs, or just slow. CPython tears such a thread out of the library that it
-    is in (``pthread_exit``, when it next asks for the interpreter's lock), C++ libraries end the process for that, and
-    the exit code would be SIGABRT's. So the interpreter is taken down only when no other thread is left.
+    A thread may still run: slowly, or in a driver that hangs. When the interpreter shuts down, CPython ends such a
+    thread with ``pthread_exit`` as soon as it next requests the interpreter's lock; C++ libraries then abort the
+    process, whose exit code becomes SIGABRT's. So the interpreter shuts down only if no other thread is left.
     """
     _end_if_threads_are_left(code)
     sys.exit(code)
 
 
 def _defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What ends a process that nothing caught: a traceback and exit 1, which come of themselves without threads."""
+    """Handle an uncaught error: print a traceback and exit with 1, which Python does by itself if no thread is left."""
     sys.__excepthook__(kind, error, trace)
     _end_if_threads_are_left(EXIT_FAILED)
 
@@ -59,6 +59,6 @@ def _end_if_threads_are_left(code: int) -> None:
         return
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # its reader is gone, or it is closed
+        with contextlib.suppress(OSError, ValueError):  # the stream is closed, or its reader is
             stream.flush()
     os._exit(code)

@@ -1,4 +1,4 @@
-"""The parser of the command line: argparse's, which names the nearest word where one was mistyped."""
+"""The command line's parser: argparse, with a suggestion for a mistyped word."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from tacshade_edge.quoting import did_you_mean
 
 
 class Parser(argparse.ArgumentParser):
-    """As argparse's; the parsers of its commands are of this kind too."""
+    """argparse's parser with suggestions; the parsers of its commands are also of this class."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._words: tuple[str, ...] = ()
-        # The innermost parser's stays: it is the one that knows the command's options.
+        # The innermost parser sets this last: it is the one that knows the command's options.
         self.set_defaults(parser=self)
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
-        """As argparse's."""
+        """Parse as argparse does, and keep the words for `error`."""
         self._words = tuple(args or ())
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Print usage, message and the nearest word that there is; exit with 2."""
+        """Print the usage, the message and the nearest valid word, if any; exit with 2."""
         if refused := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)$", message):
             meant = did_you_mean(refused[1], re.findall(r"[\w-]+", refused[2]))
         else:
@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
         super().error(message + meant)
 
     def _option_meant(self, word: str) -> str:
-        """Of a word that is an option, and none of this parser's."""
+        """Return a suggestion for a word that looks like an option but is none of this parser's, else ''."""
         options = re.findall(r"--[\w-]+", self.format_usage())
         name = word.partition("=")[0]
         is_known = any(option.startswith(name) for option in (*options, "--help"))

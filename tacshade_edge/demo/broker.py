@@ -1,4 +1,4 @@
-"""The demo's own broker on loopback: mosquitto where it is installed, else the one of the extra `demo`."""
+"""The demo's own broker on loopback: mosquitto if it is installed, else the broker from the extra `demo`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tacshade_edge.version import how_to_install
 
 _SBIN = "/usr/sbin"  # Debian's mosquitto, which is not on every user's PATH
 
-# The newest full-size maps, not a history: a segment is what the broker keeps of one topic, and it keeps two.
+# The broker keeps two segments of messages for each topic: enough for the newest full-size maps, not for a history.
 _EMBEDDED = """\
 id = 0
 [router]
@@ -42,18 +42,18 @@ set_tcp_nodelay true
 
 
 def broker_command(folder: Path, port: int) -> list[str]:
-    """The command that serves MQTT 5 on this loopback port, its settings written into `folder`.
+    """Write a broker's settings into `folder` and return the command that serves MQTT 5 on this loopback port.
 
     Raises
     ------
     DeviceError
-        There is neither mosquitto nor the extra.
+        Neither mosquitto nor the extra is installed.
     """
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
     text = (_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port)
     if mosquitto and os.getuid() == 0:
-        text += "user root\n"  # the kernel forgets to end it with us when it changes its user
+        text += "user root\n"  # a change of user clears the kernel's promise to stop it with us
     settings.write_text(text, encoding="utf-8")
     if mosquitto:
         return [mosquitto, "-c", str(settings)]
@@ -65,6 +65,6 @@ def broker_command(folder: Path, port: int) -> list[str]:
 if __name__ == "__main__":
     from iotcore import Broker
 
-    # rumqttd puts every message into spans of level ERROR
+    # rumqttd logs a span of level ERROR for every message.
     logging.getLogger("rumqttd").setLevel(logging.CRITICAL)
     Broker(config_path=sys.argv[1]).run_forever()

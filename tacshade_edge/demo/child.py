@@ -1,4 +1,4 @@
-"""A process of the demo: its output in a file, its end never later than the demo's."""
+"""A process that the demo starts: its output goes to a file, and it never outlives the demo."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STOP_S: Final = 3.0
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody listens on."""
+    """Return a free port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -30,16 +30,16 @@ def free_port() -> int:
 class Child:
     """A started process.
 
-    It is in a session of its own, so that Ctrl-C reaches the demo alone, which then stops one after the other; where
-    the kernel can (Linux), it gets SIGTERM when the demo dies in any other way.
+    It runs in its own session, so that Ctrl-C reaches only the demo, which then stops its processes one by one. On
+    Linux, the kernel sends it SIGTERM if the demo dies in any other way.
 
     Parameters
     ----------
     name : str
-        For messages, and the name of its log.
+        Name in messages and of the log file.
     command : sequence of str
     folder : Path
-        Where the log goes.
+        Folder for the log file.
     """
 
     def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
@@ -57,11 +57,11 @@ class Child:
 
     @property
     def output(self) -> str:
-        """What it has printed."""
+        """The process's output so far."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
-        """Raise DeviceError, with the last line that it printed, when it has ended."""
+        """Raise DeviceError, with the last line of output, if the process has ended."""
         code = self._process.poll()
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
@@ -70,7 +70,7 @@ class Child:
             )
 
     def stop(self) -> None:
-        """End it: SIGTERM, and after 3 s SIGKILL."""
+        """Stop the process with SIGTERM, or with SIGKILL after 3 s."""
         self._process.terminate()
         try:
             self._process.wait(_STOP_S)
@@ -80,12 +80,12 @@ class Child:
 
 
 def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.0.1") -> None:
-    """Wait until someone accepts connections on this port of this machine.
+    """Wait until a process accepts connections on this port of `host`.
 
     Raises
     ------
     DeviceError
-        The child ended, or did not listen within the time.
+        The child ended, or nothing listened within `timeout_s`.
     """
     deadline_s = time.monotonic() + timeout_s
     while True:

@@ -1,4 +1,4 @@
-"""The demo's hand of five: fingers that hold a bottle, which is pushed, turned, and pulled until one of them slips."""
+"""The demo's hand: five fingers hold a bottle that is pushed, turned, and pulled until one finger slips."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ FPS: Final = 10
 _MODEL: Final = SensorModel()
 
 BOTTLE: Final = lathed("bottle", ((-80.0, 28.0), (16.0, 28.0), (42.0, 12.0), (96.0, 12.0)))
-"""About the hand's x while it rests, its neck towards +x."""
+"""A bottle that at rest lies along the hand's x axis, its neck towards +x."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Hold:
-    """Where a finger holds: the point of the bottle at rest, in the hand's x and z, that its tip looks at from outside.
+    """Where a finger holds the bottle at rest: the point that its tip touches, in the hand's frame at y = 0.
 
     Attributes
     ----------
     x_mm, z_mm : float
     from_x, from_z : float
-        Direction to the finger.
+        Direction from the point to the finger.
     depth_mm : float
-        How far past the point its undeformed tip would be.
+        How far the undeformed tip would reach past the point.
     yaw_deg : float
-        How it is built in, about its own axis.
+        Rotation of the sensor about its own axis.
     """
 
     x_mm: float
@@ -59,10 +59,10 @@ FINGERS: Final = {
     "ring": _Hold(-20.0, 30.0, 0.0, 1.0, 2.2, 15.0),
     "little": _Hold(-63.0, 30.0, -0.1, 1.0, 1.0, -35.0),
 }
-_BACK_MM: Final = 3.0  # of fingers that do not hold
+_BACK_MM: Final = 3.0  # how far open fingers stand back
 STEP_S: Final = 0.2
-"""Of what moves: fewer steps are drawn than frames are taken."""
-_SEEN: Final = "seen.png"  # what a finger's camera takes again and again
+"""Time between drawn steps of the motion: longer than the camera's frame period, to draw less."""
+_SEEN: Final = "seen.png"  # the picture that a finger's camera reads repeatedly
 
 _SETTINGS: Final = """\
 hand_id: {hand_id}
@@ -81,11 +81,11 @@ _SENSOR: Final = """\
 
 
 def place_of(name: str) -> Rigid:
-    """``hand_T_sensor``."""
+    """Return a finger's ``hand_T_sensor``."""
     hold = FINGERS[name]
     away = np.array((hold.from_x, 0.0, hold.from_z))
     away /= np.linalg.norm(away)
-    # The sensor's z, (0, 0, 1), comes to point inwards.
+    # This turns the sensor's z axis, (0, 0, 1), to point inwards.
     inwards = turn((0.0, float(np.arctan2(-away[0], -away[2])), 0.0)) @ turn(
         (0.0, 0.0, float(np.radians(hold.yaw_deg)))
     )
@@ -94,7 +94,7 @@ def place_of(name: str) -> Rigid:
 
 
 def script() -> HandScript:
-    """One round: grasped, pushed, turned, brought back, pulled until the little finger slips, and let go."""
+    """One round: the bottle is grasped, pushed, turned, brought back, pulled until a finger slips, and released."""
     rests = shift(0.0, 0.0, 0.0)
     pushed = shift(0.0, 0.6, -0.25)
     turned = shift(0.0, 0.6, 0.0) @ turn((np.radians(2.5), np.radians(0.5), 0.0))
@@ -111,14 +111,14 @@ _GRASPED: Final = round(script().times_s[2] / STEP_S) + 1  # steps until they ho
 
 
 def write(folder: Path, port: int) -> Path:
-    """Draw what fingers see that touch nothing, and write their settings; the path of these.
+    """Draw what the untouched fingers see, write the hand's settings, and return the path of the settings.
 
     Parameters
     ----------
     folder : Path
-        Of the demo, with the calibration.
+        The demo's folder, which contains the calibration.
     port : int
-        The broker's.
+        The broker's port.
     """
     text = _SETTINGS.format(hand_id=HAND_ID, port=port)
     sensor = SimulatedSensor(_MODEL)
@@ -134,10 +134,10 @@ def write(folder: Path, port: int) -> Path:
 
 
 def play(folder: Path) -> Generator[None, None, None]:
-    """Show every finger its picture of the moment; to be asked for the next each step.
+    """Show every finger its current picture; call `next` once per step.
 
-    All fingers change their pictures at once, for they hold one object. They grasp it as soon as that is drawn, and
-    hold it while the rest of the round is, on all cores.
+    All fingers change their pictures together because they hold the same object. They grasp it as soon as the grasp is
+    drawn, and hold it while the rest of the round is drawn on all cores.
     """
     drawn = list[list[Path]]()
     for name in FINGERS:
@@ -159,7 +159,7 @@ def play(folder: Path) -> Generator[None, None, None]:
 
 
 def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[str, Path]) -> None:
-    """Change the picture of each finger whose picture changes."""
+    """Replace the pictures of the fingers for which this step shows a different one."""
     for name, pictures in zip(FINGERS, drawn, strict=True):
         if shown.get(name) != pictures[step]:
             shown[name] = pictures[step]
@@ -169,14 +169,14 @@ def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[
 
 
 def _draw(task: tuple[Path, str, int]) -> list[Path]:
-    """Draw so many steps of what one finger sees; where nothing changes it is the same picture."""
+    """Draw the first steps of what one finger sees and return a path per step; steps of the same skin share one."""
     folder, name, steps = task[0] / task[1], *task[1:]
     sensor = SimulatedSensor(_MODEL)
     fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]
     round_of = script()
     placements = [round_of.at(k * STEP_S) for k in range(steps)]
     by_skin, drawn = dict[int, Path](), list[Path]()
-    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # they keep their skins' ids
+    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.truth.press else 0
         if key not in by_skin:

@@ -1,4 +1,4 @@
-"""The demo's calibration: references and ball presses of the simulated sensor, through the real `calibrate`."""
+"""The demo's calibration: the real `calibrate` on references and ball presses of the simulated sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ REFERENCES, PRESSES = 5, 20
 
 
 def make_calibration() -> Calibration:
-    """Calibrate the simulated sensor of the demo (a second or two)."""
+    """Calibrate the demo's simulated sensor; this takes one or two seconds."""
     model = SensorModel()
     simulated = SimulatedSensor(model)
     sensor = Sensor(

@@ -1,4 +1,4 @@
-"""The demo's other sensor: a robot presses a small pad all over with it again and again and stitches what it feels."""
+"""The demo's other sensor: a robot repeatedly presses it all over a small pad, and the daemon stitches the presses."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _MODEL: Final = SensorModel()
 _PAD: Final = Pad(36.0, 28.0, (Arc(11.1, 14.1, 7.0, 3.0), Bar(23.1, 4.1, 23.1, 24.1, 2.0), Dot(31.1, 14.1, 3.0)))
 _STEP_MM: Final = 6.0
 _DEPTH_MM: Final = 2.7
-_HELD, _FREE = 6, 3  # frames of a press and of the way to the next
-_AT_ONCE = 3  # presses that are drawn before it looks after the others
+_HELD, _FREE = 6, 3  # frames of a press and of the move to the next
+_AT_ONCE = 3  # presses drawn before the demo looks after its other processes
 _BEGIN_S, _END_S = 5.0, 30.0
-_SHOWN_S = 20.0  # how long a whole map is there before the next begins
+_SHOWN_S = 20.0  # how long a finished map stays before the next begins
 
 _SETTINGS: Final = """\
 sensor_id: {sensor_id}
@@ -44,16 +44,16 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[None, None, None]:
-    """Draw the presses, start a daemon on them, and have it stitch: a little more whenever it is asked for the next.
+    """Draw the presses, start a daemon that reads them, and have it stitch; each `next` does a little more.
 
     Parameters
     ----------
     folder : Path
-        Of the demo, with the calibration.
+        The demo's folder, which contains the calibration.
     port : int
-        The broker's.
+        The broker's port.
     start : callable
-        ``start(settings)``: the daemon.
+        ``start(settings)`` starts the daemon.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[
             yield
         for number in itertools.count(1):
             end_s = time.monotonic() + len(_poses()) * (_HELD + _FREE) / FPS
-            with suppress(DeviceError):  # a person at the page began one
+            with suppress(DeviceError):  # a user of the page began a session
                 caller.ask({"action": "begin", "name": f"pad-{number}"}, _BEGIN_S)
             while time.monotonic() < end_s:
                 yield
-            with suppress(DeviceError):  # a person at the page ended it
+            with suppress(DeviceError):  # a user of the page ended the session
                 caller.ask({"action": "end"}, _END_S)
             shutil.rmtree(folder / "sessions" / f"pad-{number - 1}", ignore_errors=True)
             end_s = time.monotonic() + _SHOWN_S
@@ -91,7 +91,7 @@ def _poses() -> list[Rigid]:
 
 
 def _presses(folder: Path) -> Iterator[None]:
-    """Write the frames of one pass over the pad, and their table."""
+    """Write the frames of one pass over the pad and their frame table; yield after every few presses."""
     sensor = SimulatedSensor(_MODEL)
     folder.mkdir()
     cv2.imwrite(str(folder / "free.png"), sensor.frame().image)

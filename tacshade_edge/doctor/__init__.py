@@ -1,1 +1,1 @@
-"""What is wrong with a sensor and its machine, and what fixes it: one small file per subject."""
+"""Finds what is wrong with a sensor and its machine, and what fixes it: one small file per subject."""

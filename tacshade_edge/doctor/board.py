@@ -1,4 +1,4 @@
-"""The board under it: power, heat and the processor's governor. No line where a machine reports none of these."""
+"""Checks the board: power, heat and the processor's governor. No finding if the machine reports none of these."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from tacshade_edge.doctor.machine import Machine
 
 _THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
-# Bits of get_throttled, and 16 bits higher: since the start.
+# Bits of get_throttled for the present state; the same bits 16 higher are for the time since boot.
 _UNDER_VOLTAGE, _CAPPED, _SLOWED, _HOT = 1, 2, 4, 8
 _OWN_SCALING = ("intel_pstate", "amd-pstate-epp")  # their `powersave` follows the load
 
 
 def check_board(machine: Machine) -> tuple[Finding, ...]:
-    """Findings of a Raspberry Pi's firmware and of the kernel's frequency scaling."""
+    """Findings on what a Raspberry Pi's firmware reports and on the kernel's frequency scaling."""
     return (*_power(machine), *_governor(machine))
 
 

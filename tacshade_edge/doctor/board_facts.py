@@ -1,4 +1,4 @@
-"""What a board is, for figures that are sent in: never a serial number, an address or anybody's name."""
+"""Facts about a board for benchmark figures that users send in: no serial number, address or person's name."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from tacshade_edge.version import installed_version
 MODEL = "/proc/device-tree/model"
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
-# Arm's "CPU part" in /proc/cpuinfo, of the boards that the documents name.
+# Arm's "CPU part" in /proc/cpuinfo for the boards that the documents name.
 _ARM_PARTS = {"0xd03": "Cortex-A53", "0xd08": "Cortex-A72", "0xd0b": "Cortex-A76"}
-# Bits of get_throttled, 16 bits higher than those of this moment: since the start.
+# Bits of get_throttled for the time since boot, after a shift right by 16.
 _SINCE_START = {1: "under-voltage", 2: "capped", 4: "throttled", 8: "hot"}
 _TEXT_MAX = 80
 
 
 def board_facts(machine: Machine) -> dict[str, str]:
-    """Board, processor and software by name; what cannot be read is left out."""
+    """Return board, processor and software by name, without what cannot be read."""
     cpuinfo, release = machine.read("/proc/cpuinfo"), machine.read("/etc/os-release")
     part = _field(cpuinfo, "CPU part")
     cores = len(os.sched_getaffinity(0))
@@ -41,7 +41,7 @@ def board_facts(machine: Machine) -> dict[str, str]:
 
 
 def heat(machine: Machine) -> str:
-    """The processor's temperature and what the firmware did about it; empty where neither can be read."""
+    """Return the processor's temperature and any throttling since boot; empty if neither can be read."""
     zones = [zone for zone in machine.names("/sys/class/thermal", "thermal_zone*") if _is_processor(machine, zone.name)]
     read = [machine.read(f"/sys/class/thermal/{zone.name}/temp") for zone in zones]
     degrees = [int(text) / 1000 for text in read if re.fullmatch(r"\d+", text)]
@@ -57,7 +57,7 @@ def _is_processor(machine: Machine, zone: str) -> bool:
 
 
 def _field(text: str, name: str, sign: str = ":") -> str:
-    """The first value of a line ``name : value``."""
+    """Return the value of the first line ``name : value``; empty if there is none."""
     found = re.search(rf"^{re.escape(name)}\s*{sign}\s*(.+)$", text, re.MULTILINE)
     return found[1].strip() if found else ""
 

@@ -1,4 +1,4 @@
-"""The broker: can it be reached, does it take and give what the daemon sends, and is a daemon already there?"""
+"""Checks the broker: is it reachable, does it pass on the daemon's messages, and is a daemon already connected?"""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.strict import decode_object
 
 _CONNECT_S = 3.0
-_KEEPALIVE_S = 3  # paho's limit for the TLS handshake too
+_KEEPALIVE_S = 3  # also paho's limit for the TLS handshake
 _ANSWER_S = 2.0
-_ROUNDS = 6  # the first warms up
-_MESSAGE_BYTES = 38_000  # more than a height map (25 KB), or a cloud of 2700 points
+_ROUNDS = 6  # the first is a warm-up
+_MESSAGE_BYTES = 38_000  # more than a height map (25 KB); about a cloud of 2700 points
 _HEADER_BYTES = 200
-_PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
+_PACKET_BYTES = 1_000_000  # a map of 640x480 cells, with room to spare
 _SLOW_MS = 20.0
 _REPORTED = ("state", "info", "instance", "health", "status/+")
 _ACL = (
@@ -40,22 +40,22 @@ _ACL = (
 
 @dataclass(frozen=True, slots=True)
 class DaemonState:
-    """What the broker holds of a daemon with this sensor's name.
+    """The retained messages that the broker holds from a daemon with this sensor's name.
 
     Attributes
     ----------
     state : str
-        ``online``, ``degraded``, ``stopped``, ``offline``; empty when there is none.
+        ``online``, ``degraded``, ``stopped``, ``offline``; empty if there is none.
     reason : str
-        Why it is not online.
+        Why the daemon is not online.
     fps : float
-        Frames per second that it delivered last.
+        Frames per second that the daemon last delivered.
     place : str
-        Where it runs.
+        Where the daemon runs.
     rival : str
-        Where another runs that waits for the same name; empty without one.
+        Where another daemon runs that waits for the same name; empty if there is none.
     published : dict
-        All that the broker holds of it: topic below the daemon's to payload.
+        All messages: from topic below the daemon's base topic to payload.
     """
 
     state: str = ""
@@ -67,7 +67,7 @@ class DaemonState:
 
     @property
     def alive(self) -> bool:
-        """A daemon is connected now."""
+        """Whether a daemon is connected now."""
         return self.state in ("online", "degraded")
 
     def __str__(self) -> str:
@@ -76,7 +76,7 @@ class DaemonState:
 
 @dataclass(slots=True)
 class _Session:
-    """What has come back so far."""
+    """The broker's answers so far."""
 
     greeting: MqttCode | None = None
     packet_bytes_max: int | None = None
@@ -87,12 +87,12 @@ class _Session:
 
     @property
     def is_refused(self) -> bool:
-        """The access rules denied what was published."""
+        """Whether the access rules denied the last message."""
         return self.published is not None and self.published.is_failure
 
 
 def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, ...], DaemonState]:
-    """Connect as the daemon does under a name of its own, and send height-sized messages to itself.
+    """Connect as the daemon does, but with another client id, and receive its own messages the size of a height map.
 
     They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
     """
@@ -115,7 +115,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 
 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
-    """Is a daemon running, and is it this machine's?"""
+    """Judge whether a daemon is running and whether it is this machine's."""
     if daemon.alive and daemon.rival:
         found = f"two daemons use {sensor_id}: one runs {daemon.place}; the other waits {daemon.rival}"
         return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
@@ -157,9 +157,9 @@ def _listen(client: Client, topic: str) -> _Session:
 
 
 def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Finding | None:
-    """Open the connection; what is wrong with it.
+    """Open the connection; return what is wrong with it, or None.
 
-    Once by ourselves, since paho leaves a socket open whose TLS handshake failed, then by paho.
+    `_reach` connects before paho does, because paho leaves a socket open if its TLS handshake fails.
     """
     try:
         _reach(host, port, tls_ca)
@@ -170,7 +170,7 @@ def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Findin
 
 
 def _unreached(error: OSError, host: str, port: int) -> str:
-    """What was found in place of a connection."""
+    """Return why no connection came about, as the finding's text."""
     where = f"{host}:{port}"
     match error:
         case socket.gaierror():
@@ -196,7 +196,7 @@ def _reach(host: str, port: int, tls_ca: str | None) -> None:
 
 
 def _greet(client: Client, session: _Session, where: str, username: str | None, tls_ca: str | None) -> Finding | None:
-    """Wait for the broker's answer to CONNECT; what is wrong with it."""
+    """Wait for the broker's answer to CONNECT; return what is wrong with it, or None."""
     open_still = _pump(client, lambda: session.greeting is not None)
     code = session.greeting
     if code is None:
@@ -214,7 +214,7 @@ def _greet(client: Client, session: _Session, where: str, username: str | None, 
 
 
 def _round_trip(client: Client, session: _Session, base: str, username: str | None) -> Finding:
-    """Subscribe to what we and the daemon publish, publish, and time it."""
+    """Subscribe to the daemon's topics and our own, publish messages to ourselves and time them."""
     topic = f"{base}/doctor"
     acl = _ACL.format(user=username or "(none)")
     client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
@@ -245,7 +245,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
 
 
 def judge_round_trip(middle_ms: float) -> Finding:
-    """Whether messages of 38 KB are quick enough."""
+    """Judge whether the round trip of a 38 KB message is quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
         fix = "add set_tcp_nodelay true to the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
@@ -254,7 +254,7 @@ def judge_round_trip(middle_ms: float) -> Finding:
 
 
 def _pump(client: Client, done: Callable[[], object]) -> bool:
-    """Send and receive until `done`, the connection's end or 2 s; whether the connection is still there."""
+    """Send and receive until `done`, the connection's end or 2 s; return whether the connection is still open."""
     deadline_s = time.monotonic() + _ANSWER_S
     while not done() and time.monotonic() < deadline_s:
         if client.loop(0.05) != MQTTErrorCode.MQTT_ERR_SUCCESS:

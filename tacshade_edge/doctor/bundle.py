@@ -1,4 +1,4 @@
-"""One file for somebody who is to help: what the doctor found and saw, without what must stay secret."""
+"""One file for a person who helps: what the doctor found and saw, without secrets."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _IN_URL = re.compile(r"(?<=://)[^/\s@\"']+(?=@)")
 
 @dataclass(slots=True)
 class Seen:
-    """What the checks came by, filled while they run.
+    """Data that the checks collect while they run.
 
     Attributes
     ----------
     document : Document or None
     published : dict
-        Topic below the daemon's to the payload that the broker holds.
+        From topic below the daemon's base topic to the payload that the broker holds.
     image : uint8 (H, W) or (H, W, 3) or None
         The latest frame.
     """
@@ -55,7 +55,7 @@ class Seen:
 
 
 def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
-    """Write the zip file whole.
+    """Write the zip file atomically.
 
     Parameters
     ----------
@@ -63,12 +63,12 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     findings : sequence of Finding
     seen : Seen
     with_frame : bool
-        A camera's picture may show what is not ours to give away.
+        Whether to include the latest frame; a camera's picture may show something private.
 
     Raises
     ------
     DeviceError
-        It cannot be written.
+        The file cannot be written.
     """
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
@@ -93,14 +93,14 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
 
 
 def without_secrets(text: str, secrets: Sequence[str]) -> str:
-    """`text` without these words, the users' names in addresses, and the names of home folders."""
+    """Return `text` without the secrets, user names in URLs and names of home folders."""
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _LEFT_OUT)
     return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
 
 
 def versions() -> dict[str, Any]:
-    """Of this program, what it stands on, and the machine."""
+    """Return the versions of this program, its packages and the system, and the machine's size."""
     release = platform.freedesktop_os_release() if os.path.exists("/etc/os-release") else {}
     required = importlib.metadata.requires("tacshade-edge") or []
     names = sorted({re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required})
@@ -134,7 +134,7 @@ def _without_user(settings: Settings) -> Settings:
 
 
 def _secrets(document: Document) -> tuple[str, ...]:
-    """Words that must not be in any text; not the user's name where it is the sensor's, as the shipped ACL wants."""
+    """Return the words to remove from all texts; the user name stays if it is the sensor's, as in the shipped ACL."""
     settings = document.settings
     try:
         password = links.read_password(document)
@@ -146,7 +146,7 @@ def _secrets(document: Document) -> tuple[str, ...]:
 
 
 def _calibration(document: Document) -> dict[str, Any]:
-    """The facts of the calibration's file, or why there are none."""
+    """Return the facts in the calibration file, or the reason why it has none."""
     try:
         found = calibrations.load(document.settings.calibration)
     except ConfigError as error:
@@ -159,7 +159,7 @@ def _calibration(document: Document) -> dict[str, Any]:
 
 
 def _log() -> str:
-    """The service's latest lines, or why there are none."""
+    """Return the service's latest log lines, or why there are none."""
     if (program := shutil.which("journalctl")) is None:
         return "no journalctl here\n"
     command = [program, "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]

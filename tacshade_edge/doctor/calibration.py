@@ -1,4 +1,4 @@
-"""The calibration: is it sound, and does the sensor still look as it did when it was made?"""
+"""Checks the calibration: is it sound, and does the sensor still look as it did at calibration?"""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _AGED = (
 
 
 def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
-    """The calibration that the settings name, and what is to be said of the file; None when it cannot be used."""
+    """Load the calibration that the settings name (None if it is unusable), with findings on its file."""
     path = document.settings.calibration
     try:
         calibration = calibrations.find_calibration(document)
@@ -73,7 +73,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     images : sequence of uint8 (H, W) or (H, W, 3)
         At least one.
     live : bool
-        From a camera, so that nothing should touch the skin now; files and simulations are pressed.
+        Whether the images are from a camera, so nothing should touch the skin; files and simulations show presses.
     """
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
@@ -102,7 +102,7 @@ def _drift(calibration: Calibration, images: Sequence[U8]) -> registration.Drift
 
 
 def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[Finding, ...]:
-    """Whether the visible circle is where it was; nothing when that cannot be seen (a contact may hide it)."""
+    """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
     place = (
@@ -115,7 +115,7 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
 
 
 def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
-    """What these images would be as a new reference."""
+    """Judge the images by the new reference that they would make."""
     try:
         renewed = rezero(calibration, images)
     except ConfigError as error:

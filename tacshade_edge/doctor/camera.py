@@ -1,4 +1,4 @@
-"""The camera: its node, what it offers, and what the frames of a second say about it."""
+"""Checks the camera: its node, the modes it offers, and the frames it delivers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
 from tacshade_edge.doctor.cameras import (
-    CSI_MEND,
+    CSI_FIX,
     card_name,
     csi_cameras,
     found_cameras,
@@ -33,7 +33,7 @@ from tacshade_edge.types import U8, Disc
 
 _FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _RATE_PART = 0.9
-_RATE_OFF = 0.01  # 29.97 is 30
+_RATE_OFF = 0.01  # counts 29.97 as 30
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
@@ -46,24 +46,24 @@ _PICTURE_FIXES = {
 
 
 def list_cameras(machine: Machine) -> Finding:
-    """Which cameras there are, while no settings name one."""
+    """List the machine's cameras if no settings name one."""
     cameras = [_labelled(name, machine) for name in found_cameras(machine)]
     cameras += [f"{{kind: rpicam, camera: {number}}} ({name})" for number, name in csi_cameras().items()]
     if cameras:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
-        return warning("camera", "found a CSI receiver but no USB camera", CSI_MEND)
+        return warning("camera", "found a CSI receiver but no USB camera", CSI_FIX)
     return warning("camera", "found no camera on this machine", "plug one in; lsusb lists it if USB detects it")
 
 
 def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
-    """The configured node: is it there, a camera, permitted, well named? A fault says that no frame can come."""
+    """Check that the configured node exists, is a usable camera and has a stable name; a fault rules out frames."""
     device = source.device
     path = machine.at(device)
     if not path.exists():
         return (fault("camera", f"{device}: no such device", _choose(machine)),)
     if is_csi(device, machine):
-        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_MEND),)
+        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_FIX),)
     if not may_use(path) and not path.is_dir():
         return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
     try:
@@ -79,7 +79,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
 
 
 def check_csi(source: Rpicam) -> tuple[Finding, ...]:
-    """Whether rpicam-vid lists the configured camera."""
+    """Check that rpicam-vid lists the configured camera."""
     if not shutil.which(PROGRAM):
         return (fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),)
     cameras = csi_cameras()
@@ -91,7 +91,7 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
 
 
 def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
-    """Is what the settings ask among the formats, sizes and rates that the driver lists?"""
+    """Check that the driver lists the configured format, size and rate."""
     size = f"{source.width_px}x{source.height_px}"
     try:
         formats = v4l2_node.formats(node)
@@ -117,7 +117,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
 
 
 def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:
-    """What a camera delivered, or why it did not.
+    """Judge what a camera delivered, or why it delivered nothing.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
     captured : Captured
     machine : Machine
     daemon_state : str
-        What the running daemon publishes of itself; empty when none runs here.
+        The state that the running daemon publishes; empty if none runs here.
     """
     if captured.error and (busy := _busy(source, captured.error, machine, daemon_state)):
         return (busy,)
@@ -142,7 +142,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 
 
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
-    """What a source that is no camera delivered: files, or the simulated sensor."""
+    """Judge what a source other than a camera delivered: files or the simulated sensor."""
     if captured.error:
         return (fault("source", str(captured.error), "fix source.path, or the files there"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
@@ -154,7 +154,7 @@ def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
 
 
 def check_picture(image: U8) -> Finding:
-    """Whether an image shows anything, whatever the sensor."""
+    """Judge whether an image shows anything, without knowing the sensor."""
     grey = to_grey(image)
     height, width = grey.shape
     disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
@@ -167,7 +167,7 @@ def check_picture(image: U8) -> Finding:
 
 
 def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str) -> Finding | None:
-    """Who holds the camera; None when nobody does."""
+    """Return a finding on the program that holds the camera; None if none does."""
     if isinstance(source, Rpicam):
         if error.code is not ReasonCode.IN_USE:
             return None
@@ -234,12 +234,12 @@ def _check_locks(captured: Captured) -> list[Finding]:
 
 
 def _choose(machine: Machine) -> str:
-    """What to do without the configured camera."""
+    """Return the fix for a missing configured camera."""
     cameras = found_cameras(machine)
     if cameras:
         return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
     return (
-        CSI_MEND if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
+        CSI_FIX if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
     )
 
 

@@ -1,4 +1,4 @@
-"""Frames of the daemon's own source, taken as the daemon takes them, before anything is judged."""
+"""Takes frames from the daemon's source as the daemon does, before the checks judge them."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from tacshade_edge.types import U8
 
 FRAMES = 30
 LIMIT_S = 3.0
-_IMAGES_KEPT = 10  # the last ones; a camera's first may still be settling
+_IMAGES_KEPT = 10  # the last ones, because a camera may still be settling during the first
 _SETTLING = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Captured:
-    """What a source gave.
+    """Frames and facts from a source.
 
     Attributes
     ----------
     images : tuple of uint8 (H, W) or (H, W, 3)
-        The last ten at most.
+        At most the last ten.
     t_ns, arrived_ns : tuple of int
-        CLOCK_MONOTONIC when each frame was taken, as the source says, and when it was read.
+        CLOCK_MONOTONIC when each frame was taken, as the source reports, and when it was read.
     dropped : int
-        As the source counts them.
+        Dropped frames as the source counts them.
     described : dict
-        What was negotiated, as in ``status/camera``.
+        The negotiated mode, as in ``status/camera``.
     error : Reason or None
-        Why it did not open, or ended early; None when it did neither.
+        Why the source did not open or failed; None if neither happened.
     """
 
     images: tuple[U8, ...] = ()
@@ -44,13 +44,13 @@ class Captured:
 
     @property
     def fps(self) -> float:
-        """The true rate, without the first frames, which often come late; 0 when there are too few."""
+        """Frames per second, measured without the first frames, which often come late; 0 if there are too few."""
         t_ns = self.t_ns[_SETTLING:]
         return 1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 and t_ns[-1] > t_ns[0] else 0.0
 
 
 def capture(source: FrameSource) -> Captured:
-    """Open a source, read 30 frames or as many as come in 3 s, close it."""
+    """Open a source, read 30 frames or as many as come within 3 s, and close it."""
     images: deque[U8] = deque(maxlen=_IMAGES_KEPT)
     t_ns: list[int] = []
     arrived_ns: list[int] = []

@@ -1,4 +1,4 @@
-"""The clocks: the wall clock dates what is published and recorded, the monotonic one times it."""
+"""Checks the clocks: the wall clock dates messages and recordings, the monotonic clock times them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from pathlib import Path
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
-_TIMEX_BYTES = 512  # struct timex has 208 at most; all zero asks and changes nothing
+_TIMEX_BYTES = 512  # struct timex has at most 208; all zero, it reads the state and changes nothing
 _FINE_S = 1e-6
 _DAY_S = 86400
 
 
 def check_clock() -> tuple[Finding, ...]:
-    """Ask this machine's clocks."""
+    """Check this machine's clocks."""
     installed_s = Path(__file__).stat().st_mtime
     return judge(time.time(), installed_s, synchronised(), time.get_clock_info("monotonic").resolution)
 
 
 def synchronised() -> bool | None:
-    """Whether the kernel's clock is kept right by any program, with or without systemd; None: it does not say."""
+    """Whether any program synchronises the kernel's clock, with or without systemd; None if the kernel reports none."""
     state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     return None if state < 0 else state != _TIME_ERROR
 

@@ -1,7 +1,7 @@
-"""Every check in its order: the one place that knows them all.
+"""Runs every check in order; no other module knows them all.
 
-What may hang runs in threads with a limit: broker, serial ports, disk, clock and board side by side, then the
-camera's node, its frames, and what is computed of them. Together under 20 s, whatever hangs.
+Checks that may hang run in threads with a time limit: broker, serial ports, disk, clock, board and USB in parallel,
+then the camera's node, its frames, and what is computed from them. All end within 20 s, whatever hangs.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _AGAIN = "run it again; if nothing changes, reboot; then report it with this lin
 def diagnose(
     config: Path, machine: Machine, seen: Seen | None = None, sensor_id: str | None = None
 ) -> Iterator[Finding]:
-    """Check all that can be checked; findings come as soon as they are known, and `seen` gets what they are of.
+    """Run all checks that are possible; yield each finding as soon as it is known, and fill `seen` with the data.
 
-    The first is on the settings file; what needs no settings is checked without them too.
+    The first finding is on the settings file; the checks that need no settings also run without them.
     """
     finding, document, broker_usable = check_settings(config, sensor_id)
     yield finding
@@ -76,13 +76,13 @@ def diagnose(
 
 
 def _cameras(document: Document | None) -> list[V4l2]:
-    """Of all sensors of the file: they share the machine's ports."""
+    """Return the V4L2 sources of all sensors in the settings file: they share the machine's ports."""
     documents = () if document is None else load_all(document.path) if document.several else (document,)
     return [other.settings.source for other in documents if isinstance(other.settings.source, V4l2)]
 
 
 def _sensor(document: Document, daemon: DaemonState, machine: Machine, seen: Seen) -> Iterator[Finding]:
-    """The source, and its frames against the calibration."""
+    """Check the source, and its frames against the calibration."""
     source = document.settings.source
     found: Findings = ()
     if isinstance(source, V4l2):

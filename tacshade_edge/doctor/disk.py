@@ -1,4 +1,4 @@
-"""Where calibrations and recordings go: is there room, may it be written, is the card worn out?"""
+"""Checks the disk for calibrations and recordings: has it room, is it writable, is the storage worn out?"""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine
 
 _FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
-_WORN = 9  # of 10, in JEDEC's estimate of an eMMC's life
+_WORN = 9  # of 10 steps in JEDEC's estimate of an eMMC's used life
 
 
 def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
-    """Findings on the file system of `folder` (or of its first parent that exists)."""
+    """Findings on the file system of `folder` (or of its nearest existing parent) and on the storage's wear."""
     existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)
@@ -35,7 +35,7 @@ def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]
 
 
 def check_wear(machine: Machine) -> tuple[Finding, ...]:
-    """A warning for each eMMC that is near its end by its own count; SD cards do not report it."""
+    """A warning for each eMMC that reports being near its end of life; SD cards do not report it."""
     worn = []
     for block in machine.names("/sys/block", "mmcblk*"):
         steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]

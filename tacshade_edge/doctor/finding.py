@@ -10,18 +10,18 @@ State = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one check found.
+    """One result of a check.
 
     Attributes
     ----------
     check : str
-        Its name; several findings may share one.
+        Name of the check; several findings may share one.
     state : str
-        ``fault``: the daemon cannot work so. ``warning``: it works, worse than it could.
+        ``fault``: the daemon cannot work like this. ``warning``: it works, but worse than it could.
     found : str
         One line for a person.
     fix : str
-        What to do, with the exact command where there is one; empty when `state` is ``ok``.
+        What to do, with the exact command if there is one; empty if `state` is ``ok``.
     """
 
     check: str
@@ -31,15 +31,15 @@ class Finding:
 
 
 def ok(check: str, found: str) -> Finding:
-    """All is well."""
+    """Return the finding that all is well."""
     return Finding(check, "ok", found)
 
 
 def warning(check: str, found: str, fix: str) -> Finding:
-    """It works, worse than it could."""
+    """Return the finding that the daemon works, but worse than it could."""
     return Finding(check, "warning", found, fix)
 
 
 def fault(check: str, found: str, fix: str) -> Finding:
-    """It cannot work so."""
+    """Return the finding that the daemon cannot work like this."""
     return Finding(check, "fault", found, fix)

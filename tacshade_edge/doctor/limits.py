@@ -1,4 +1,4 @@
-"""Jobs side by side, each with an end: what hangs is left behind, what breaks is reported."""
+"""Parallel jobs with a time limit each: a job that hangs is abandoned, one that fails is reported."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def start(job: Callable[[], T]) -> Future[T]:
 
 
 def wait_for(future: Future[T], deadline_s: float, failed: Callable[[str], T]) -> T:
-    """The job's result; ``failed(why)`` for one that broke, or did not end by `deadline_s` (``time.monotonic``)."""
+    """Return the job's result, or ``failed(why)`` if it raised or did not end by `deadline_s` (``time.monotonic``)."""
     try:
         error = future.exception(max(0.0, deadline_s - time.monotonic()))
     except FutureTimeoutError:

@@ -1,4 +1,4 @@
-"""What the kernel's file systems say of devices and processes; the root is an argument, so that tests build one."""
+"""Devices and processes in the kernel's file systems; the root is an argument, so that tests can build one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A process: its number and its command line."""
+    """A process: its id and its command line."""
 
     pid: int
     words: tuple[str, ...]
@@ -33,22 +33,22 @@ class Machine:
         return self.root / path.lstrip("/")
 
     def name_of(self, path: Path) -> str:
-        """The absolute path that the machine's users know."""
+        """The path as the machine's users see it, without `root`."""
         return f"/{path.relative_to(self.root)}"
 
     def read(self, path: str) -> str:
-        """The stripped text of a file; empty when there is none that may be read."""
+        """The stripped text of a file; empty if it is missing or unreadable."""
         try:
             return self.at(path).read_text(errors="replace").strip()
         except OSError:
             return ""
 
     def names(self, folder: str, pattern: str = "*") -> list[Path]:
-        """What a folder holds, in the order of the names; nothing when there is no folder."""
+        """The paths in a folder, shorter names first, then by name; empty if there is no folder."""
         return sorted(self.at(folder).glob(pattern), key=lambda path: (len(path.name), path.name))
 
     def processes(self) -> list[Process]:
-        """Every process that may be seen, but this one."""
+        """Every visible process except this one."""
         found = []
         for folder in self.names("/proc", "[0-9]*"):
             words = tuple(self.read(f"/proc/{folder.name}/cmdline").rstrip("\0").split("\0"))
@@ -57,18 +57,18 @@ class Machine:
         return found
 
     def holders(self, device: str) -> list[Process]:
-        """The other processes that have a device open, as far as may be seen (root sees all)."""
+        """The other processes that have a device open, as far as this user can see (root sees all)."""
         target = os.path.realpath(self.at(device))
         return [process for process in self.processes() if self._holds(process, target)]
 
     def _holds(self, process: Process, target: str) -> bool:
         try:
             return any(os.readlink(fd) == target for fd in self.at(f"/proc/{process.pid}/fd").iterdir())
-        except OSError:  # it ended meanwhile, or is another user's
+        except OSError:  # the process has ended, or belongs to another user
             return False
 
     def daemon(self) -> Process | None:
-        """The ``tacshade-edge run`` of this machine."""
+        """The process of ``tacshade-edge run`` on this machine; None if none runs."""
         for process in self.processes():
             for program, command in pairwise(process.words[:4]):
                 if os.path.basename(program) in ("tacshade-edge", "tacshade_edge") and command == "run":
@@ -82,7 +82,7 @@ def may_use(path: Path) -> bool:
 
 
 def permission_fix(path: Path, usual_group: str) -> str:
-    """The command that gives this user the device."""
+    """Return the command or the step that gives this user access to the device."""
     user = pwd.getpwuid(os.geteuid()).pw_name
     try:
         group = grp.getgrgid(path.stat().st_gid).gr_name

@@ -1,4 +1,4 @@
-"""Serial ports that a robot may be on: permission, other users, FTDI's delay. No port is opened: that resets robots."""
+"""Checks a robot's possible serial ports (permission, other users, FTDI's delay) unopened: opening resets robots."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 
 _PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
-_NO_UART = "0"  # /sys/class/tty/ttyS*/type of a place where there is no chip
+_NO_UART = "0"  # /sys/class/tty/ttyS*/type of a port without a chip
 _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
-    """One line for each port that is well, one for each thing that is not; `device` is the robot's in the settings."""
+    """One finding per sound port and one per problem; `device` is the robot's port in the settings."""
     found = _check_ports(machine)
     if not device.startswith("/dev/") or machine.at(device).exists():
         return found
@@ -70,7 +70,7 @@ def _stable_names(device: str, machine: Machine) -> list[str]:
 
 
 def _is_console(port: str, machine: Machine) -> bool:
-    """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first one."""
+    """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first port."""
     consoles = [word.partition("=")[2] for word in machine.read("/proc/cmdline").split() if word.startswith("console=")]
     targets = [os.path.realpath(machine.at(f"/dev/{name.partition(',')[0]}")) for name in consoles]
     if os.path.realpath(machine.at(f"/dev/{port}")) in targets:

@@ -1,4 +1,4 @@
-"""The settings file: what `run` would refuse at its start, as one finding."""
+"""Checks the settings file: one finding on what `run` would reject at its start."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _UNTIL = "until then, doctor does not check {}"
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
-    """Read the settings, of one sensor where they have several.
+    """Read the settings, those of one sensor if the file has several.
 
     Returns
     -------
     finding : Finding
     document : Document or None
-        None when they cannot be used at all.
+        None if the settings are unusable.
     broker : bool
-        Whether the broker's part can be used; its password and certificate files are checked here.
+        Whether the broker's settings are usable, including its password and certificate files.
     """
     try:
         document = load(config, sensor_id)

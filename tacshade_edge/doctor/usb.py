@@ -1,7 +1,7 @@
-"""USB: whether what the settings ask of all cameras fits through the ports that they share.
+"""Checks USB: do the streams that the settings request from all cameras fit through the ports that they share?
 
-A camera reserves its part of a bus when its stream begins. The last one that finds no room fails with "No space left on
-device", which says nothing of the others; so it is counted before.
+A camera reserves its share of a bus when its stream begins. One that finds no room fails with "No space left on
+device", which does not name the other cameras; so this check adds up the shares beforehand.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.settings import V4l2
 
 _BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
-"""Of MJPG the most that pictures of pins and markers take; a camera may reserve more."""
+"""Bytes per pixel; for MJPG the most that pictures of pins and markers take, though a camera may reserve more."""
 _SMALL_PX: Final = (320, 240)
 _MB: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """What cameras share: a port of a controller, with all hubs behind it.
+    """A controller's port with all hubs behind it, which cameras share.
 
     Attributes
     ----------
     name : str
     speed_mbit : int
-        Of the camera's own connection, Mbit/s.
+        Speed of the camera's own connection, Mbit/s.
     """
 
     name: str
@@ -42,14 +42,14 @@ class Port:
 
     @property
     def most_bytes_s(self) -> float:
-        """For all streams: USB 2.0's table 5-5, six packets of 1024 bytes in each of 8000 microframes a second."""
+        """Limit for all streams in bytes/s; USB 2.0, table 5-5: six 1024-byte packets in each of 8000 microframes/s."""
         if self.speed_mbit < 480:
             return 1023e3  # one packet a millisecond
         return 6 * 1024 * 8000.0 if self.speed_mbit < 5000 else 400e6 * self.speed_mbit / 5000
 
     @property
     def most_bytes_s_of_one(self) -> float:
-        """For one stream: three packets in a microframe at 480 Mbit/s."""
+        """Limit for one stream in bytes/s: three packets per microframe at 480 Mbit/s."""
         return self.most_bytes_s / 2 if 480 <= self.speed_mbit < 5000 else self.most_bytes_s
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Port:
 
 
 def check_usb(cameras: Sequence[V4l2], machine: Machine) -> tuple[Finding, ...]:
-    """A finding for each port that configured cameras are on; none for what is not on USB."""
+    """A finding for each port with configured cameras; none for cameras that are not on USB."""
     on: dict[Port, list[V4l2]] = {}
     for camera in cameras:
         if port := port_of(camera.device, machine):
@@ -66,7 +66,7 @@ def check_usb(cameras: Sequence[V4l2], machine: Machine) -> tuple[Finding, ...]:
 
 
 def port_of(device: str, machine: Machine) -> Port | None:
-    """The port that a video node's camera shares with others; None where it is not on USB, or not there."""
+    """Return the port that a video node's camera shares with others; None if it is not on USB or missing."""
     node = os.path.basename(os.path.realpath(machine.at(device)))
     above = Path(os.path.realpath(machine.at(f"/sys/class/video4linux/{node}/device")))
     for folder in (above, *above.parents):
@@ -76,14 +76,14 @@ def port_of(device: str, machine: Machine) -> Port | None:
             bus, port = found.groups()
             root = next((part for part in folder.parents if part.name == f"usb{bus}"), folder)
             driver = os.path.basename(os.path.realpath(root.parent / "driver"))
-            # Only an xHCI controller's ports have a bus each.
+            # Only an xHCI controller gives each port its own bandwidth.
             name = f"USB bus {bus}, port {port}" if "xhci" in driver else f"USB bus {bus}"
             return Port(name, int(float(speed)))
     return None
 
 
 def judge(port: Port, cameras: Sequence[V4l2]) -> Finding:
-    """Whether the cameras fit through the port, and what would."""
+    """Judge whether the cameras fit through the port; if not, the finding's fix states what would."""
     each = [bytes_s(camera) for camera in cameras]
     load = f"about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
     formats = ", ".join(dict.fromkeys(_format(camera) for camera in cameras))
@@ -93,24 +93,24 @@ def judge(port: Port, cameras: Sequence[V4l2]) -> Finding:
         return ok("usb", found)
     if max(each) > port.most_bytes_s_of_one:
         found += f", but one camera alone gets at most {port.most_bytes_s_of_one / _MB:.0f}"
-    # What is not compressed is known to the byte.
+    # The rate of an uncompressed stream is known to the byte.
     known = [camera for camera in cameras if camera.fourcc != "MJPG"]
     return (warning if fits(port, known) else fault)("usb", found, "; or ".join(_fixes(port, cameras)))
 
 
 def fits(port: Port, cameras: Sequence[V4l2]) -> bool:
-    """Whether all of them can stream at once."""
+    """Whether all cameras can stream at once."""
     each = [bytes_s(camera) for camera in cameras]
     return sum(each) <= port.most_bytes_s and max(each, default=0) <= port.most_bytes_s_of_one
 
 
 def bytes_s(camera: V4l2) -> float:
-    """What a stream takes."""
+    """Return the data rate of a camera's stream, bytes/s."""
     return camera.width_px * camera.height_px * _BYTES_PER_PX[camera.fourcc] * camera.fps
 
 
 def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
-    """What would make them fit, the least painful first."""
+    """Return the changes that would make the cameras fit, the least intrusive first."""
 
     def changed(**values: int | str) -> list[V4l2]:
         return [msgspec.structs.replace(camera, **values) for camera in cameras]

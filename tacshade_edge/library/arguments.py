@@ -1,4 +1,4 @@
-"""What people hand to the library: of the right kind, or refused in one line."""
+"""Check the arguments of the library's functions; reject wrong ones in one line."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tacshade_edge.quoting import quoted, shown
 _PATH_BYTES_MAX: Final = 4095
 _NAME_BYTES_MAX: Final = 255
 _TEXT_BYTES_MAX: Final = 65535
-"""Of a string of MQTT."""
+"""The longest MQTT string."""
 
 
 def path_of(name: str, value: object) -> Path:
-    """A path that a file can have.
+    """Return an argument as a path that a file can have.
 
     Raises
     ------
     ConfigError
-        Another type, or no file can have that path.
+        The argument has another type, or no file can have that path.
     """
     if isinstance(value, str | os.PathLike):
         encoded = b""
@@ -35,7 +35,7 @@ def path_of(name: str, value: object) -> Path:
 
 
 def text_of(name: str, value: object, expected: str) -> str:
-    """Text that MQTT can carry. Raises ConfigError."""
+    """Return an argument as text that MQTT can carry. Raises ConfigError."""
     if isinstance(value, str) and "\0" not in value:
         with contextlib.suppress(UnicodeEncodeError):
             if len(value.encode()) <= _TEXT_BYTES_MAX:
@@ -44,6 +44,6 @@ def text_of(name: str, value: object, expected: str) -> str:
 
 
 def wrong(name: str, value: object, expected: str) -> ConfigError:
-    """The error for an argument of another kind."""
+    """The error for an argument of the wrong kind."""
     found = quoted(value) if isinstance(value, str) else shown(repr(value), 60)
     return ConfigError(f"{name}: found {found}, expected {expected}")

@@ -1,4 +1,4 @@
-"""From the messages of a daemon to results: what it published of one frame, put together again."""
+"""Assemble results from the messages that a daemon publishes for each frame."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ M = TypeVar("M", HeightMessage, CloudMessage, ShearMessage, SigmaMessage)
 
 @dataclass(frozen=True, slots=True)
 class _Whole:
-    """All that was published of one frame; without contact nothing but `contact` need be there."""
+    """All messages published for one frame; without contact, only `contact` is required."""
 
     contact: Contact
     streams: dict[str, bytes]
@@ -46,7 +46,7 @@ class _Whole:
 
 
 class FrameAssembler:
-    """Takes one daemon's messages in the order in which it sent them; keeps the newest frame that is whole.
+    """Takes one daemon's messages in the order in which the daemon sent them; keeps the newest complete frame.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FrameAssembler:
     state : str
         Both as last published.
     passed_over : int
-        Frames that a newer one replaced, that came in part, or whose calibration is not the published one.
+        Frames that a newer one replaced, that arrived incomplete, or that do not match the published calibration.
     """
 
     def __init__(self) -> None:
@@ -64,18 +64,18 @@ class FrameAssembler:
         self.forget()
 
     def forget(self) -> None:
-        """Drop what is not whole: the messages that follow are another connection's."""
+        """Drop all pending messages: the following ones come from another connection."""
         self._latest: dict[str, bytes] = {}
         self._touch: TouchNumbers | None = None
         self._newest: _Whole | None = None
 
     @property
     def whole(self) -> bool:
-        """Whether there is a frame to take."""
+        """Whether a complete frame is waiting."""
         return self._newest is not None
 
     def add(self, topic: str, payload: bytes) -> None:
-        """Take a message; what cannot be understood is nobody's."""
+        """Take a message; ignore one that cannot be decoded."""
         with contextlib.suppress(DecodeError):
             if topic in _STREAMS:
                 self._latest[topic] = payload
@@ -89,7 +89,7 @@ class FrameAssembler:
                 self._add(decode_contact(payload))
 
     def _add(self, contact: Contact) -> None:
-        """``contact`` is the last that a daemon sends of a frame."""
+        """Complete a frame: ``contact`` is the last message that a daemon sends for it."""
         seq = contact.seq & 0xFFFFFFFF
         streams = {
             name: data
@@ -103,7 +103,7 @@ class FrameAssembler:
         self._newest = _Whole(contact, streams, _touch_of(contact, self._touch))
 
     def take(self) -> Result | None:
-        """The result of the newest frame; None where there is none that can be understood."""
+        """The result of the newest complete frame; None if there is none or it cannot be decoded."""
         whole, self._newest = self._newest, None
         if whole is None:
             return None
@@ -161,7 +161,7 @@ class FrameAssembler:
 
 
 def _decoded(kind: type[M], payload: bytes | None) -> M | None:
-    """A stream's message; None where none came. Raises DecodeError."""
+    """Decode a stream's message; None if there is none. Raises DecodeError."""
     if payload is None:
         return None
     message = wire.decode(payload)
@@ -173,7 +173,7 @@ def _decoded(kind: type[M], payload: bytes | None) -> M | None:
 def _touched(
     message: HeightMessage, cloud: ObjectCloud, shear_mm: F32 | None, geometry: Geometry
 ) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
-    """The map, its objects and their volume. The contact itself is not sent: its points are, each of one cell."""
+    """The height map, its objects and their volume in mm³; the contact is found from its points, one per cell."""
     height_mm, grid = message.height_mm, _grid(message)
     if (height_mm > geometry.skin_radius_mm).any():
         raise DecodeError(
@@ -197,20 +197,20 @@ def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
 
 
 def _untouched(last: HeightMap) -> HeightMap:
-    """0 on the grid of the last map that came, which has no cell before the first."""
+    """A height map of 0 on the grid of the last map received; empty before the first."""
     zero_mm = np.where(np.isnan(last.height_mm), np.float32(np.nan), np.float32(0))
     return HeightMap(zero_mm, np.zeros(zero_mm.shape, np.bool_), last.row0, last.col0, last.step_px)
 
 
 def _touch_of(contact: Contact, numbers: TouchNumbers | None) -> Touch | None:
-    """A contact's own touch."""
+    """The touch that belongs to a contact's frame; None if there is none."""
     if numbers is None or numbers.seq != contact.seq or numbers.touch is None or numbers.touch_sigma is None:
         return None
     return Touch(numbers.touch, numbers.touch_sigma, _reason(numbers.reason_code, numbers.reason))
 
 
 def _reason(code: str, text: str = "") -> Reason | None:
-    """Where no text is published, its code is the text."""
+    """The reason for a code, None if empty; the code serves as the text if none is published."""
     if not code:
         return None
     known = next((reason for reason in ReasonCode if reason.value == code), None)

@@ -1,4 +1,4 @@
-"""Results of a camera and of a recording: frames are read when a result is asked for, by who asks."""
+"""Results from a camera or a recording: a frame is read when a result is requested, in the caller's thread."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from tacshade_edge.types import Frame
 _log = logging.getLogger(__name__)
 
 _STALE_PERIODS: Final = 2
-"""A frame that is older when it is read waited behind a newer one."""
+"""A frame older than this when it is read has waited behind a newer one."""
 _WAITING_MAX: Final = 8
-"""More than a driver's buffers: a camera whose every frame is late is taken as it is."""
+"""More than a driver's buffers: if this many frames in a row are late, the camera itself is late."""
 
 
 def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
-    """Open a camera, and reconstruct its newest frame whenever a result is asked for.
+    """Open a camera and reconstruct its newest frame whenever a result is requested.
 
     A reader that is slower than the camera gets the newest frame; the others are passed over.
 
@@ -40,15 +40,15 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         A device such as ``/dev/video0``, or a settings file (``.yaml``) that names a camera, a folder or the simulated
         sensor.
     sensor : Sensor, optional
-        By default of the calibration and the profile that the settings name, which for a device are the service's.
+        By default, the calibration and profile that the settings name; for a device, the service's calibration.
 
     Raises
     ------
     ConfigError
-        It can never work as it is.
+        The arguments or settings can never work.
     DeviceError
-        There is no camera, it is in use, or gives no frame. Later, from ``next``: it was lost; the next call opens it
-        again.
+        The camera is missing, in use, or delivers no frame. Later, from ``next``: the camera was lost; the next call
+        reopens it.
     """
     path = path_of("source", source)
     _check_sensor(sensor)
@@ -73,9 +73,9 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
 
 
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
-    """Read a recording, and reconstruct every frame in order.
+    """Read a recording and reconstruct every frame in order.
 
-    The log reports what is damaged or was cut off; `passed_over` counts it.
+    The log reports damaged and cut-off frames; `passed_over` counts the damaged ones.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
         A folder or MCAP file that ``tacshade-edge record`` made, any folder of images, an image, or a video
         (docs/how-to/replay.md).
     sensor : Sensor, optional
-        By default of the recording's own calibration, with the profile ``balanced``.
+        By default, the sensor with the recording's own calibration and the profile ``balanced``.
 
     Raises
     ------
@@ -98,9 +98,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
             _log.warning("%s", line)
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
-            raise ConfigError(
-                f"{path}: found no {CALIBRATION_NAME} in it, expected one, or a sensor: read(recording, sensor)"
-            )
+            raise ConfigError(f"{path}: contains no {CALIBRATION_NAME}; pass a sensor: read(recording, sensor)")
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)
 

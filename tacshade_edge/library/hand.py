@@ -1,4 +1,4 @@
-"""What a whole hand touches and holds, from recordings of its fingers."""
+"""Compute what a whole hand touches and holds from recordings of its fingers."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from tacshade_edge.protocol.hand import HandObjects
 
 
 def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:
-    """Read recordings of a hand's fingers, and give what their hand would have published (docs/how-to/hand.md).
+    """Read recordings of a hand's fingers and yield the messages that the hand would have published.
 
-    The log reports what is damaged or was cut off.
+    See docs/how-to/hand.md. The log reports damaged and cut-off recordings.
 
     Parameters
     ----------
     recordings : iterable of path
-        Made at the same time by the sensors of one hand, whose settings say where each is; each with its calibration.
+        Recorded at the same time by the sensors of one hand; each holds its calibration and the sensor's pose.
     profile : str
         ``fast``, ``balanced`` or ``accurate``.
 
     Yields
     ------
     HandObjects
-        Lengths in mm along the hand's axes.
+        Lengths in mm, vectors along the hand's axes.
 
     Raises
     ------
     ConfigError
-        One is no recording of a finger, two are of one sensor, or they are of several hands.
+        A path is not a finger's recording, two recordings are of one sensor, or they are of several hands.
     """
     if isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable):
         raise wrong("recordings", recordings, "a list of paths")

@@ -1,4 +1,4 @@
-"""The messages of a daemon, of a hand and of a replay's files, decoded."""
+"""Decode the messages of a daemon or a hand, and the files of a replay."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
     Parameters
     ----------
     payload : bytes-like
-        Of docs/reference/mqtt.md, nothing before or behind it.
+        One whole payload in the format of docs/reference/mqtt.md.
 
     Returns
     -------
     HeightMessage, CloudMessage, ShearMessage, SigmaMessage or HandObjects
-        As its header says, of JSON the last; arrays are read-only, lengths in mm.
+        The kind that the payload's header states; HandObjects for JSON. Arrays are read-only, lengths in mm.
 
     Raises
     ------
     DecodeError
-        It does not follow the format, or its checksum is wrong.
+        The payload does not follow the format, or its checksum is wrong.
     ConfigError
-        It is no bytes.
+        The payload is not bytes-like.
     """
     if not isinstance(payload, bytes | bytearray | memoryview):
         raise wrong("payload", payload, "bytes")
@@ -42,12 +42,12 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
 
 
 def decode_file(path: str | os.PathLike[str]) -> Iterator[Message]:
-    """Decode a file of such payloads, one after another: ``heights.bin``, ``clouds.bin``, ``shears.bin`` of a replay.
+    """Decode a replay's file of payloads, one after another: ``heights.bin``, ``clouds.bin`` or ``shears.bin``.
 
     Parameters
     ----------
     path : path
-        One message of it at a time is in memory.
+        The file; only one of its messages is in memory at a time.
 
     Yields
     ------
@@ -58,7 +58,7 @@ def decode_file(path: str | os.PathLike[str]) -> Iterator[Message]:
     ConfigError
         There is no such file.
     DecodeError
-        It is cut short or damaged.
+        The file is cut short or damaged.
     """
     file = path_of("path", path)
     return _messages(file.parent, file.name)

@@ -1,4 +1,4 @@
-"""What every part of the library gives: one frame's result, and a stream of them."""
+"""The result of one frame, and a stream of results."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from tacshade_edge.types import F32, U16, Bool, Geometry, Pose, Reconstruction, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What one image or frame gave; arrays are read-only, lengths in mm.
+    """The reconstruction of one image or frame; arrays are read-only, lengths in mm.
 
     Attributes
     ----------
     seq : int
-        The frame's number in its source; of an image 0.
+        The frame's number in its source; 0 for a single image.
     t_ns, wall_ns : int
-        When it was captured: CLOCK_MONOTONIC of the machine with the camera, or the recording's clock; and Unix time. 0
-        where nobody knows.
+        Capture time in ns: CLOCK_MONOTONIC of the machine with the camera, or the recording's clock; and Unix time. 0
+        if unknown.
     profile : str
     valid : bool
-        False: the frame could not be used; every height is 0.
+        Whether the frame was usable; if not, every height is 0.
     reason, reason_code : str
-        Why not, for a person and for a program (docs/reference/mqtt/reasons.md); empty when valid.
+        Why the frame is invalid, for people and for programs (docs/reference/mqtt/reasons.md); empty when valid.
     degraded, degraded_code : str
-        Why the result deserves less trust; empty when all is well.
+        Why the result is less trustworthy; empty when all is well.
     in_contact : bool
-        Whether anything touches.
+        Whether anything touches the skin.
     saturated : bool
-        The grey left the range that the calibration covers: depth is a lower bound.
+        Whether the grey left the range that the calibration covers; if so, the depth is a lower bound.
     height_mm : float32 (rows, cols)
-        h, by how much the skin is pressed in; NaN outside the visible disc, exactly 0 inside without contact.
+        h, how far the skin is pressed in; NaN outside the visible disc, exactly 0 inside it without contact.
     contact : bool (rows, cols)
-        Cells whose skin touches an object.
+        Cells where the skin touches an object.
     untrusted : bool (rows, cols) or None
-        Cells that do not show the sensor's skin; None where it is not reported.
+        Cells that do not show the sensor's skin; None if not reported.
     shear_mm : float32 (rows, cols, 2) or None
-        By how much the skin is dragged along x and y; None where it is not reported.
+        How far the skin is dragged along x and y; None if not reported.
     sigma_mm : float32 (rows, cols) or None
-        Standard deviation of `height_mm` where `contact` is true, elsewhere NaN; None where it is not reported.
+        Standard deviation of `height_mm` where `contact` is true, NaN elsewhere; None if not reported.
     row0, col0, step_px : float
         Cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
     points_mm : float32 (N, 3)
-        x, y, z in the sensor frame of the skin that touches.
+        Points of the skin in contact: x, y, z in the sensor frame.
     labels : uint16 (N,)
-        The object of each point, from 1.
+        The label of each point's object, from 1.
     objects : tuple of TouchedObject
-        In the order of their labels, the greatest first.
+        The objects in the order of their labels, largest first.
     volume_mm3 : float
-        Displaced under the contacts.
+        Volume displaced under the contacts.
     touch, touch_sigma : mapping of str to float or None
-        The touch as a few numbers, each in the unit of its name, and one standard deviation of each; None where the
-        model does not know one. None without contact, or where they are not reported.
+        The touch as a few numbers, each in the unit of its name, and the standard deviation of each; a value is None if
+        the model does not know it. Both mappings are None without contact or if not reported.
     touch_reason, touch_reason_code : str
-        Why the model does not know one or all; empty when it knows all.
+        Why some or all of the values are unknown; empty when all are known.
     pose : Pose or None
-        ``base_T_flange`` at `t_ns`, where a robot states it.
+        ``base_T_flange`` at `t_ns`; None if no robot reports it.
     geometry : Geometry
         Skin, camera and visible circle.
     """
@@ -98,23 +98,23 @@ class Result:
     geometry: Geometry
 
     def __post_init__(self) -> None:
-        if self.untrusted is not None:  # the others come as they are to be
+        if self.untrusted is not None:  # the other arrays are read-only already
             freeze(self, "untrusted")
 
     @property
     def depth_max_mm(self) -> float:
-        """Greatest h of the touched objects; 0 without contact."""
+        """Greatest h of the touched objects in mm; 0 without contact."""
         return max((o.depth_max_mm for o in self.objects), default=0.0)
 
     def skin_mm(self) -> F32:
-        """Where each cell's skin is: x, y, z in the sensor frame, float32 (rows, cols, 3); NaN outside the disc."""
+        """Each cell's skin point: x, y, z in mm in the sensor frame, float32 (rows, cols, 3); NaN outside the disc."""
         rows, cols = self.height_mm.shape
         grid = Grid(rows, cols, self.row0, self.col0, self.step_px)
         return skin_points(self.height_mm, disc_rays(grid, self.geometry), self.geometry)
 
 
 def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untrusted: Bool | None) -> Result:
-    """A reconstruction as people take it."""
+    """Convert a reconstruction to the library's result."""
     height, cloud, touch = made.height, made.cloud, made.touch
     touch_reason = None if touch is None else touch.reason
     return Result(
@@ -151,23 +151,23 @@ def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untru
 
 
 class Results(ABC, Iterator[Result]):
-    """Results one after the other, each made in the caller's thread when it is asked for.
+    """An iterator of results, each computed in the caller's thread when it is requested.
 
-    What raised goes on with the next call of ``next``. It is to be closed: by ``with``, by `close`, or at its end.
+    After an exception, the next call of ``next`` continues. Close the iterator with ``with`` or `close`, or exhaust it.
     """
 
     @property
     @abstractmethod
     def passed_over(self) -> int:
-        """Frames that gave no result: a newer one was there, or they were lost or damaged on their way."""
+        """Number of frames without a result: a newer one replaced them, or they were lost or damaged in transit."""
 
     @abstractmethod
     def __next__(self) -> Result:
-        """The next result. Raises DeviceError, ConfigError."""
+        """Return the next result. Raises DeviceError, ConfigError."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is behind it; safe to call twice."""
+        """Release the camera, recording or connection; safe to call twice."""
 
     def __enter__(self) -> Self:
         return self

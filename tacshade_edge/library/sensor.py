@@ -23,25 +23,25 @@ _EXPECTED: Final = "a path, or uint8 (rows, cols) or (rows, cols, 3), blue first
 
 
 def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sensor:
-    """Load a sensor's calibration, the file that ``tacshade-edge calibrate`` wrote.
+    """Load a sensor from its calibration, the file that ``tacshade-edge calibrate`` wrote.
 
     Parameters
     ----------
     calibration : path
-        Never written: one of an older version is made again each time, which the log says.
+        Never written to: an older version's file is recalibrated from its images on each load, which the log reports.
     profile : str
         ``fast``, ``balanced``, ``accurate`` or ``paper``.
 
     Raises
     ------
     ConfigError
-        It cannot be used, or there is no such profile.
+        The calibration cannot be used, or there is no such profile.
     """
     return Sensor(calibrations.load(path_of("calibration", calibration), store=False), profile)
 
 
 class Sensor:
-    """One sensor with one profile; it refuses a second thread while one is in it.
+    """A calibrated sensor with one profile; only one thread may use it at a time.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Sensor:
     geometry : Geometry
         Skin, camera and visible circle.
     image_size_px : (int, int)
-        Rows and columns that its images have.
+        Rows and columns of its images.
     """
 
     def __init__(self, calibration: Calibration, profile: str) -> None:
@@ -58,25 +58,25 @@ class Sensor:
         if not isinstance(profile, str) or profile not in PROFILES:
             raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
         self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
-        self._in_use = threading.Lock()  # never waited for: the reconstructor's scratch buffers are of one frame
+        self._in_use = threading.Lock()  # never waited for: the reconstructor's scratch buffers hold one frame
         self.profile = profile
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
 
     def reconstruct(self, image: str | os.PathLike[str] | U8) -> Result:
-        """Reconstruct one image by itself; an image that cannot be used gives a result that is not `valid`.
+        """Reconstruct a single image; an unusable image gives a result that is not `valid`.
 
         Parameters
         ----------
         image : path, or uint8 (rows, cols) grey or (rows, cols, 3) BGR
-            As the camera gives it; never written.
+            The camera's image, unprocessed; never modified.
 
         Raises
         ------
         DecodeError
             The file cannot be read.
         ConfigError
-            It is none of these, or another thread is in the sensor.
+            The argument is none of these, or another thread is using the sensor.
         """
         if isinstance(image, np.ndarray):
             shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
@@ -90,12 +90,12 @@ class Sensor:
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:
-        """Reconstruct a frame of a stream, whose objects the tracker follows; for the library itself.
+        """Reconstruct a frame of a stream and track its objects; for the library's internal use.
 
         Raises
         ------
         ConfigError
-            Another thread is in the sensor.
+            Another thread is using the sensor.
         """
         if not self._in_use.acquire(blocking=False):
             raise ConfigError("sensor: found two threads using it, expected one: load a sensor in each thread")
@@ -103,6 +103,6 @@ class Sensor:
             made = step_and_track(self._reconstructor, tracker, frame)
         finally:
             self._in_use.release()
-        assert made is not None  # all of it is needed
+        assert made is not None
         untrusted = np.zeros(made.height.contact.shape, np.bool_) if made.untrusted is None else made.untrusted
         return result_of(made, self.geometry, frame.pose, untrusted)

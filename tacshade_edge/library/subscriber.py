@@ -1,4 +1,4 @@
-"""Results of a daemon on the network: its messages are received when a result is asked for, by who asks."""
+"""Results from a daemon on the network: messages are received when a result is requested, in the caller's thread."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.reasons import ReasonCode
 
 _SILENT_S: Final = 5.0
-"""A daemon with a camera says ten times a second that nothing touches."""
+"""A daemon with a camera publishes ten messages a second even while nothing touches."""
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
@@ -42,26 +42,26 @@ def listen(
 ) -> Results:
     """Listen to a running daemon (docs/reference/mqtt.md).
 
-    A result is given for each frame in contact, for the end of a contact, and ten times a second while nothing touches.
-    A reader that is slower gets the newest; the others are passed over.
+    The daemon publishes a result for each frame in contact, for the end of a contact, and ten times a second while
+    nothing touches. A slower reader gets the newest result; the others are passed over.
 
     Parameters
     ----------
     broker : str
-        ``HOST`` or ``HOST:PORT``; the port is 1883 without one.
+        ``HOST`` or ``HOST:PORT``; the default port is 1883.
     sensor_id : str
-        Of the daemon's settings.
+        The `sensor_id` of the daemon's settings.
     username, password : str, optional
-        For a broker that asks who listens.
+        Credentials for a broker that requires them.
     ca_file : path, optional
-        TLS is used when given: the authority that signed the broker's certificate.
+        Certificate of the authority that signed the broker's certificate; if given, the connection uses TLS.
 
     Raises
     ------
     ConfigError
-        Arguments that can never work.
+        The arguments can never work.
     DeviceError
-        No broker, or it does not let us in. Later, from ``next``: nothing that gives a result came for 5 s, or the
+        No broker answers, or the broker rejects the client. Later, from ``next``: no result arrived for 5 s, or the
         connection was lost; the next call connects again.
     """
     host, port = host_and_port(text_of("broker", broker, BROKER))
@@ -105,7 +105,7 @@ class _Heard(Results):
         while time.monotonic() < end_s:
             if not self._step(0.0 if self._frames.whole else _POLL_S):
                 raise self._lost(self._failure or "connection lost", ReasonCode.LOST)
-            # The newest wins: what has come since is read first.
+            # The newest frame wins: first read everything that has arrived.
             if self._frames.whole and not self._waits() and (result := self._frames.take()) is not None:
                 return result
         raise self._silence()
@@ -132,7 +132,7 @@ class _Heard(Results):
             raise self._lost(self._failure or "the broker does not answer", code)
 
     def _step(self, timeout_s: float) -> bool:
-        """Send and receive once; False without a connection. Not `Client.loop`, whose pair of sockets stays open."""
+        """Send and receive once; False without a connection. `Client.loop` would leave a pair of sockets open."""
         client = self._client
         if (sock := client.socket()) is None:
             return False
@@ -144,18 +144,18 @@ class _Heard(Results):
         return client.socket() is not None
 
     def _waits(self) -> bool:
-        """Whether something that came was not read yet."""
+        """Whether unread data is waiting."""
         sock: Any = self._client.socket()
         if sock is None:
             return False
-        pending = getattr(sock, "pending", None)  # what TLS has decrypted already
+        pending = getattr(sock, "pending", None)  # bytes that TLS has already decrypted
         return bool(pending and pending()) or bool(select.select([sock], [], [], 0)[0])
 
     def _hang_up(self) -> None:
         self._connected = False
         with contextlib.suppress(OSError):
             self._client.disconnect()
-        while self._step(0.0):  # sends the goodbye, and closes
+        while self._step(0.0):  # sends DISCONNECT and closes the socket
             pass
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
@@ -163,7 +163,7 @@ class _Heard(Results):
         return DeviceError(f"{self._where}: {found}; expected a broker that carries {self._base}", code=code)
 
     def _silence(self) -> DeviceError:
-        """Nothing came for long: why, as far as it is known."""
+        """The error for a long silence, with its cause as far as it is known."""
         state = (
             f"its state is {shown(self._frames.state)}" if self._frames.state else "no daemon has published its state"
         )
@@ -172,7 +172,7 @@ class _Heard(Results):
         text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s, {state}{known}"
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
-    # -- called by paho, in the thread of who asked ------------------------------------------------------------------
+    # -- called by paho, in the caller's thread ----------------------------------------------------------------------
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:

@@ -1,1 +1,1 @@
-"""Pure: bytes to values and back. No I/O."""
+"""Encode values to bytes and decode bytes to values: pure functions without I/O."""

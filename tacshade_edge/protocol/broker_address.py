@@ -1,4 +1,4 @@
-"""Where a broker is, as people write it."""
+"""Parse a broker's address as people write it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _HOST_CHARS_MAX: Final = 253
 
 
 def host_and_port(broker: str) -> tuple[str, int]:
-    """Host and port of ``HOST`` or ``HOST:PORT``, an IPv6 address in brackets; the port is 1883 without one.
+    """Split ``HOST`` or ``HOST:PORT`` into host and port; an IPv6 address is in brackets, the default port is 1883.
 
     Raises
     ------
     ConfigError
-        No host can have that name, or it is not a port.
+        The host name or the port is not valid.
     """
     host, colon, port = broker.rpartition(":")
     if not colon:

@@ -1,7 +1,7 @@
-"""``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch, in the hand's frame. Pure JSON.
+"""Encode ``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch, in the hand's frame, as JSON.
 
-A finger's part is made where its frames are, and put beside the others' by the hand's own process: `encode_finger` and
-`decode_finger` are between these two, `encode_hand` and `hand_messages.decode_hand` are of the topic.
+Each finger's daemon computes its part, and the hand's own process merges the parts: `encode_finger` and `decode_finger`
+carry a part from one to the other, `encode_hand` and `hand_messages.decode_hand` serve the topic.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _DIGITS: Final = 4  # 0.1 µm
 
 
 def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
-    """What one result of a finger reports in the hand's frame, without its age."""
+    """A finger's result as a report in the hand's frame, without its age."""
     objects: tuple[HandObject, ...] = ()
     if result.contact:
         points_mm, labels = hand_T_sensor.apply(result.cloud.points_mm), result.cloud.labels
@@ -72,17 +72,17 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
 
 
 def away(reason: Reason) -> Finger:
-    """A finger of which nothing is known, though no frame says so."""
+    """The report of a finger whose contacts are unknown, without a frame."""
     return Finger(state="away", reason_code=reason.code)
 
 
 def encode_finger(finger: Finger) -> bytes:
-    """For the hand's own process."""
+    """Encode a finger's report for the hand's own process."""
     return msgspec.json.encode(finger)
 
 
 def decode_finger(payload: bytes) -> Finger:
-    """Understand `encode_finger`, of a process of ours: its types, not its ranges. Raises DecodeError."""
+    """Decode `encode_finger`'s output; our own process sent it, so only types are checked. Raises DecodeError."""
     try:
         return msgspec.json.decode(payload, type=Finger)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -95,7 +95,7 @@ def encode_hand(hand: HandObjects) -> bytes:
 
 
 def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> HandObject:
-    """An object with its points, which are in the hand's frame already."""
+    """Transform an object to the hand's frame; `points_mm` are already in it."""
     turn = hand_T_sensor.rotation
     extent_mm = np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
     slide = None if touched.shear_mm is None else rounded_triple(turn[:, :2] @ np.array(touched.shear_mm))
@@ -114,7 +114,7 @@ def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> H
 
 
 def rounded_triple(vector: F64) -> Triple:
-    """Round a vector (3,) to what is published."""
+    """Round a vector (3,) to the published precision."""
     x, y, z = (round(float(value), _DIGITS) + 0.0 for value in vector)  # no -0.0
     return x, y, z
 

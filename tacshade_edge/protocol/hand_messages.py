@@ -1,4 +1,4 @@
-"""``tacshade/hand/<hand-id>/objects`` as a subscriber understands it: what all fingers of a hand touch."""
+"""Decode ``tacshade/hand/<hand-id>/objects``, which reports what all fingers of a hand touch."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ _Value = Annotated[float, Bounds(-1e9, 1e9)]
 Triple = tuple[_Value, _Value, _Value]
 
 OBJECTS_MAX: Final = 16
-"""The greatest of a finger: what five fingers publish stays within 29 kB, and as much again with its motion."""
+"""Only a finger's largest objects are sent: five fingers publish at most 29 kB, and as much again with motions."""
 FINGERS_MAX: Final = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unobservable:
-    """A motion that the fingers cannot see: a rotation about a line, or a translation along it.
+    """A motion that the fingers cannot observe: a rotation about a line, or a translation along it.
 
     Attributes
     ----------
     axis : 3 floats
         Unit vector.
     through_mm : 3 floats or None
-        A point of the line; None: a translation.
+        A point on the line of rotation; None for a translation.
     """
 
     axis: Triple
@@ -35,20 +35,20 @@ class Unobservable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """How the object that the hand holds has moved: what was at p is at R (p - about) + about + translation.
+    """The motion of the held object since the grasp: a point at p has moved to R (p - about) + about + translation.
 
     Attributes
     ----------
     since_ns : int
-        Capture of the frame with which it was grasped.
+        Capture time of the frame in which the hand grasped the object.
     about_mm, translation_mm : 3 floats
-        A point amid the fingers' patches, and how far that has moved.
+        A point amid the fingers' patches, and how far it has moved.
     rotation_deg : 3 floats
         Rotation vector of R.
     covariance : 36 floats
-        6x6, row by row: of `translation_mm`, and of a small rotation after R in degrees.
+        6x6, row by row, of `translation_mm` and of a small rotation in degrees applied after R.
     unobservable : tuple of Unobservable
-        0 in the motion, and large in the covariance.
+        Motions that are 0 in the estimate and large in the covariance.
     left_out : tuple of str
         Fingers over which the object slips.
     """
@@ -64,26 +64,26 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandObject:
-    """An object that a finger touches; all in mm, and all vectors along the hand's axes.
+    """An object that a finger touches; all lengths in mm, all vectors along the hand's axes.
 
     Attributes
     ----------
     id : int or None
-        The same while this finger touches it.
+        Constant while this finger touches the object.
     centroid_mm, extent_mm : 3 floats
-        Mean, and max - min, of the skin's points that touch it.
+        Mean, and max - min, of the skin points that touch the object.
     normal : 3 floats
-        Unit normal of the plane through these points, away from the finger's camera.
+        Unit normal of the plane through these points, pointing away from the finger's camera.
     depth_max_mm, area_mm2 : float
     shear_mm : 3 floats or None
-        Mean shear of the skin that it touches, which lies in the finger's x, y plane; None where none is reported.
+        Mean shear of the skin under the object, in the finger's x, y plane; None if not reported.
     twist_deg : float or None
-        About the finger's own z axis.
+        Twist about the finger's own z axis.
     slip : int or None
         0 stick, 1 partial, 2 full.
     slip_mm_s : float or None
     motion : Motion or None
-        Of what the whole hand holds; None where no shear is reported, and from a finger to its hand.
+        Motion of the object that the whole hand holds; None if no shear is reported, and from a finger to its hand.
     """
 
     id: int | None
@@ -101,26 +101,26 @@ class HandObject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finger:
-    """What a finger reported last.
+    """A finger's latest report.
 
     Attributes
     ----------
     state : str
-        ``contact``, ``free``, or ``away``: nothing is known of what it touches, for `reason_code`.
+        ``contact``, ``free``, or ``away``: its contacts are unknown, and `reason_code` gives the reason.
     t_ns : int or None
-        Capture of its frame, on the clock that all fingers have in common; None of what no frame reported.
+        Capture time of its frame, on the clock that all fingers share; None if the report is not from a frame.
     age_ms : float or None
-        So old the frame was when the hand published it.
+        Age of the frame when the hand published it.
     seq : int or None
-        The frame's.
+        Sequence number of the frame.
     reason_code, degraded_code : str
         Codes of `reasons.ReasonCode`; empty when all is well.
     axis : 3 floats or None
-        Its own z axis: shear is at right angles to it, twist is about it. None of what no frame reported.
+        The finger's z axis: shear is perpendicular to it, twist is about it. None if the report is not from a frame.
     margin : float or None
-        Least of its objects' before a slip, 1 firm to 0 sliding; None without contact, or where no shear is reported.
+        Smallest margin of its objects, 1 firm to 0 sliding; None without contact, or if no shear is reported.
     objects : tuple of HandObject
-        The greatest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
+        Largest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
     """
 
     state: FingerState
@@ -136,16 +136,16 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandObjects:
-    """One message: every finger of the hand by its sensor's id.
+    """One ``objects`` message: every finger of the hand, by sensor id.
 
     Attributes
     ----------
     t_ns, wall_ns : int
-        When it was put together, on the fingers' clock and in Unix time.
+        When the message was assembled, on the fingers' clock and in Unix time.
     seq : int
-        Counts these messages from 0 since the hand's process began.
+        Number of the message, counted from 0 since the hand's process started.
     fingers : dict of str to Finger
-        In the order of the settings.
+        Fingers in the order of the settings.
     """
 
     t_ns: Count
@@ -155,11 +155,11 @@ class HandObjects:
 
     @property
     def motion(self) -> Motion | None:
-        """Of the object that the hand holds; None where no finger that touches it reports shear."""
+        """Motion of the object that the hand holds; None if no finger that touches it reports shear."""
         found = (o.motion for finger in self.fingers.values() for o in finger.objects if o.motion is not None)
         return next(found, None)
 
 
 def decode_hand(payload: bytes) -> HandObjects:
-    """Understand an ``objects`` payload; keys that are not known are ignored. Raises DecodeError."""
+    """Decode an ``objects`` payload; unknown keys are ignored. Raises DecodeError."""
     return decode("objects", payload, HandObjects)

@@ -1,4 +1,4 @@
-"""How a sensor announces itself to Home Assistant: its MQTT discovery, one retained message for each entity.
+"""Announce a sensor to Home Assistant by MQTT discovery: one retained message for each entity.
 
 https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery
 """
@@ -20,15 +20,15 @@ _ENTITIES: Final = {
 
 
 def discovery_topics(sensor_id: str) -> tuple[str, ...]:
-    """Where the announcements are, from the broker's root."""
+    """The full topics of the announcements."""
     return tuple(f"homeassistant/{component}/{sensor_id}/{name}/config" for name, component in _ENTITIES.items())
 
 
 def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
-    """The announcements by topic; `profiles` are what ``req/profile`` takes.
+    """The announcements by topic; `profiles` are the names that ``req/profile`` accepts.
 
-    What Home Assistant keeps of depth are tenths of a millimetre: `contact` comes with every frame, and it stores each
-    value that differs from the one before.
+    The depth is rounded to 0.1 mm because `contact` comes with every frame and Home Assistant stores each value that
+    differs from the previous one.
     """
     base = f"tacshade/{sensor_id}"
     common = {

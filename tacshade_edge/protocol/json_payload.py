@@ -1,4 +1,4 @@
-"""How every JSON payload is written."""
+"""Encode JSON payloads."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 
 
 def encode_json(value: object) -> bytes:
-    """A JSON payload; a NaN and an infinity, which JSON does not have, become null."""
+    """Encode a JSON payload; NaN and infinity, which JSON lacks, become null."""
     return msgspec.json.encode(value, enc_hook=_plain)
 
 
 def _plain(value: object) -> object:
-    """A number of numpy's as Python's."""
+    """Convert a numpy number to a Python number."""
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} has no JSON form here")

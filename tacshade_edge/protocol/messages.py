@@ -1,4 +1,4 @@
-"""The JSON payloads that the daemon publishes: ``contact``, ``touch``, ``event/slip``, ``info``, ``status/<part>``."""
+"""Encode the JSON payloads of the daemon: ``contact``, ``touch``, ``event/slip``, ``info``, ``status/<part>``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
 from tacshade_edge.types.touch import QUANTITIES
 
-# All but the reason may be null, which the viewers' JSON Schema has no word for.
+# Everything except the reason may be null, which the viewers' JSON Schema cannot express.
 TOUCH_SCHEMA: Mapping[str, Any] = {
     "title": "tacshade.Touch",
     "type": "object",
@@ -31,10 +31,10 @@ TOUCH_SCHEMA: Mapping[str, Any] = {
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     """The ``contact`` payload: flat numbers, and codes of `reasons.ReasonCode`, empty when all is well.
 
-    ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
-    of the greatest object and null without one, since 0 is a place. Shear, twist and slip (0 stick, 1 partial, 2
-    full) are of the object that has the most of each, null where there is none. `fps` is the rate of delivery in 1/s.
-    `t_ns` and `wall_ns` are of the capture, on the daemon's monotonic clock and in Unix time.
+    ``contact`` is 0 or 1, ``objects`` the number of objects, ``area_mm2`` their total area; ``x_mm`` and ``y_mm`` are
+    the centroid of the largest object, null without one because 0 is a valid position. Shear, twist and slip (0 stick,
+    1 partial, 2 full) each come from the object with the largest value, null if none has one. `fps` is the delivery
+    rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's monotonic clock and in Unix time.
     """
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
     shears = [o.shear_mm for o in result.objects if o.shear_mm is not None]
@@ -66,14 +66,14 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
 
 
 def encode_touch(result: Reconstruction) -> bytes:
-    """The ``touch`` payload: each quantity and its standard deviation, and why one or all are not known."""
+    """The ``touch`` payload: each quantity, its standard deviation, and why some or all are unknown."""
     reason = result.reason if result.touch is None else result.touch.reason
     when = {"t_ns": result.t_ns, "seq": result.seq, "wall_ns": result.wall_ns}
     return encode_json({**when, **touch_fields(result.touch), **reason_fields(reason)})
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:
-    """``touch`` and ``touch_sigma`` as messages and ``summary.json`` have them, rounded to 0.0001; null without one."""
+    """Fields ``touch`` and ``touch_sigma`` of messages and ``summary.json``, rounded to 0.0001; None without touch."""
     if touch is None:
         return {"touch": None, "touch_sigma": None}
     return {"touch": _rounded(touch.values), "touch_sigma": _rounded(touch.sigma)}
@@ -112,12 +112,12 @@ def encode_info(
 ) -> bytes:
     """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
 
-    `calibration` is why there is none, where there is none: ``geometry`` is null then.
+    `calibration` is the reason if there is no calibration; ``geometry`` is then null.
 
-    `profiles` are the names that ``req/profile`` takes; empty where it takes none. `choice` is that of them which was
-    chosen: `profile` where it is None. `reference` is where the reference began and how far it may follow from there;
-    None where it does not follow. `hand_id` is of the hand that the sensor is a finger of, `hand_T_sensor` (x, y, z
-    in mm, quaternion w, x, y, z) where it is there; None without a hand.
+    `profiles` are the names that ``req/profile`` accepts, if any. `choice` is the chosen one of them; None means
+    `profile`. `reference` is where the reference started and how far it may follow from there; None if it does not
+    follow. `hand_id` names the hand that the sensor is a finger of, and `hand_T_sensor` (x, y, z in mm, quaternion w,
+    x, y, z) is the sensor's pose in it; both are None without a hand.
     """
     missing, known = (calibration, None) if isinstance(calibration, Reason) else (None, calibration)
     return encode_json(

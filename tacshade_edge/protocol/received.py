@@ -1,6 +1,6 @@
-"""The JSON that sensors and hands publish, and ``state``, as a subscriber understands it.
+"""Decode the JSON that sensors and hands publish, and ``state``.
 
-Keys that it does not know are ignored; what no daemon publishes is refused (`protocol.strict`).
+Unknown keys are ignored; anything that no daemon publishes is rejected (`protocol.strict`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ State = Literal["online", "degraded", "stopped", "offline"]
 STATES: Final[tuple[State, ...]] = get_args(State)
 ALIVE: Final = ("online", "degraded")
 
-Count = Annotated[int, Bounds(least=0)]  # below 2^64 as every integer of `strict`
+Count = Annotated[int, Bounds(least=0)]  # below 2^64, as `strict` requires
 _Code = Annotated[str, Bounds(pattern=r"[a-z0-9_]{0,64}")]
 _Key = Annotated[str, Bounds(pattern=r"[A-Za-z0-9_.-]{1,64}")]
 _Rate = Annotated[float, Bounds(0, 1e9)]
@@ -32,7 +32,7 @@ _Place = Annotated[float, Bounds(-1e7, 1e7)]
 
 @dataclass(frozen=True, slots=True)
 class InfoGeometry:
-    """What places a pixel in mm."""
+    """The geometry that converts pixels to mm."""
 
     skin_radius_mm: Annotated[float, Bounds(0.1, 1e4)]
     camera_distance_mm: Annotated[float, Bounds(1e-6, 1e5)] | None
@@ -62,11 +62,11 @@ class Info:
     Attributes
     ----------
     geometry : InfoGeometry or None
-        None before there is a calibration, for the `reason` and its code.
+        None without a calibration; `reason` and its code then give the reason.
     hand_id : str or None
-        Of the hand that the sensor is a finger of.
+        Id of the hand that the sensor is a finger of.
     hand_T_sensor : 7 floats or None
-        x, y, z in mm, quaternion w, x, y, z; None without a hand.
+        Pose of the sensor in the hand: x, y, z in mm, quaternion w, x, y, z; None without a hand.
     """
 
     geometry: InfoGeometry | None
@@ -84,10 +84,7 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A decoded ``contact``; the numbers are None where nothing touches or nobody asks for them.
-
-    The codes are empty where all is well.
-    """
+    """A decoded ``contact``; a number is None if nothing touches or it is not computed, a code empty if all is well."""
 
     seq: Count
     t_ns: Count
@@ -128,7 +125,7 @@ class TouchNumbers:
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Of times in ms."""
+    """Percentiles of times in ms."""
 
     p50: _Rate
     p99: _Rate
@@ -136,7 +133,7 @@ class Percentiles:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """A decoded ``health`` of a sensor: what is counted and measured of every sensor; the rest of it is for people."""
+    """A decoded ``health`` of a sensor: the counts and measures that every sensor has; the rest is for people."""
 
     uptime_s: _Rate
     frames: _Counts
@@ -166,7 +163,7 @@ class HandHealth:
 
 @dataclass(frozen=True, slots=True)
 class SlipEvent:
-    """A decoded ``event/slip``: the object `id` began to slide at x, y of the sensor frame."""
+    """A decoded ``event/slip``: the object `id` began to slide at x, y in the sensor frame."""
 
     seq: Count
     t_ns: Count
@@ -183,20 +180,20 @@ class StitchedMap:
     Attributes
     ----------
     name : str
-        Of the session.
+        Name of the session.
     revision, presses, used : int
-        `revision` counts the presses and the end; `used` are those in the map.
+        `revision` counts the presses and the end; `used` is the number of presses in the map.
     x0_mm, y0_mm, width_mm, length_mm : float
         The map's extent along x and y of the base frame.
     z_min_mm, z_max_mm : float or None
-        None of an empty map.
+        Range of the heights; None for an empty map.
     area_mm2 : float
     points : int
-        Of ``map/cloud``.
+        Number of points in ``map/cloud``.
     spacing_mm : float
-        Between them.
+        Distance between neighbouring points.
     folder : str
-        With the final map's files, on the daemon's machine; empty before the end.
+        Folder of the final map's files on the daemon's machine; empty before the end.
     """
 
     name: str
@@ -217,7 +214,7 @@ class StitchedMap:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A decoded ``status/<part>``, without the part's own details; an empty payload is one of nothing."""
+    """A decoded ``status/<part>``, without the part's own details; an empty payload gives empty fields."""
 
     state: str = ""
     reason: str | None = ""
@@ -225,47 +222,47 @@ class Status:
 
 
 def decode_info(payload: bytes) -> Info:
-    """Understand an ``info``. Raises DecodeError."""
+    """Decode an ``info``. Raises DecodeError."""
     return decode("info", payload, Info)
 
 
 def decode_contact(payload: bytes) -> Contact:
-    """Understand a ``contact``. Raises DecodeError."""
+    """Decode a ``contact``. Raises DecodeError."""
     return decode("contact", payload, Contact)
 
 
 def decode_touch(payload: bytes) -> TouchNumbers:
-    """Understand a ``touch``. Raises DecodeError."""
+    """Decode a ``touch``. Raises DecodeError."""
     return decode("touch", payload, TouchNumbers)
 
 
 def decode_health(payload: bytes) -> Health:
-    """Understand a ``health``. Raises DecodeError."""
+    """Decode a sensor's ``health``. Raises DecodeError."""
     return decode("health", payload, Health)
 
 
 def decode_hand_health(payload: bytes) -> HandHealth:
-    """Understand a ``health`` of a hand. Raises DecodeError."""
+    """Decode a hand's ``health``. Raises DecodeError."""
     return decode("health", payload, HandHealth)
 
 
 def decode_slip(payload: bytes) -> SlipEvent:
-    """Understand an ``event/slip``. Raises DecodeError."""
+    """Decode an ``event/slip``. Raises DecodeError."""
     return decode("event/slip", payload, SlipEvent)
 
 
 def decode_map(payload: bytes) -> StitchedMap:
-    """Understand a ``map/revision`` or ``map/final``. Raises DecodeError."""
+    """Decode a ``map/revision`` or ``map/final``. Raises DecodeError."""
     return decode("map", payload, StitchedMap)
 
 
 def decode_status(topic: str, payload: bytes) -> Status:
-    """Understand a ``status/<part>``. Raises DecodeError."""
+    """Decode a ``status/<part>``. Raises DecodeError."""
     return decode(topic, payload or b"{}", Status)
 
 
 def decode_state(payload: bytes) -> State:
-    """Understand a ``state``. Raises DecodeError."""
+    """Decode a ``state``. Raises DecodeError."""
     for state in STATES:
         if payload == state.encode():
             return state

@@ -1,4 +1,4 @@
-"""The JSON payloads of ``res/<verb>``."""
+"""Encode the JSON payloads of ``res/<verb>``."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tacshade_edge.reasons import Reason, reason_fields
 
 
 def encode_result(transaction: str | int | None, result: RequestResult | Mapping[str, Any]) -> bytes:
-    """The reply to a request that was done: ``{"transaction", "ok": true, "result": {...}}``."""
+    """The reply to a request that succeeded: ``{"transaction", "ok": true, "result": {...}}``."""
     return encode_json({"transaction": transaction, "ok": True, "result": _result_json(result)})
 
 
 def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
-    """The reply to a request that was refused or failed.
+    """The reply to a request that was rejected or failed.
 
     ``{"transaction", "ok": false, "error": "one line", "reason_code"}``.
     """
@@ -37,7 +37,7 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
 
 
 def _result_json(result: RequestResult | Mapping[str, Any]) -> object:
-    """Numbers as on the serial line."""
+    """A result with numbers rounded as on the serial line."""
     match result:
         case SessionEnded():
             rounded = {"disagreement_mm": round(result.disagreement_mm, 3), "area_mm2": round(result.area_mm2)}

@@ -1,4 +1,4 @@
-"""What ``req/<verb>`` asks: its JSON payload, understood strictly."""
+"""Decode the JSON payloads of ``req/<verb>`` strictly."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgs
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
 RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
-"""Also of a stitching session: each has a folder of its name."""
+"""Also for a stitching session: recordings and sessions name their folders."""
 RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not starting with '.'"
 _ERROR_CHARS_MAX: Final = 200
 
@@ -89,19 +89,19 @@ _KEYS: Final[dict[Verb, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class PlaybackCommand:
-    """What ``req/replay`` asks of a recording that is played; None leaves as it is.
+    """A ``req/replay`` command to a playing recording; None leaves a setting unchanged.
 
     Attributes
     ----------
     paused : bool or None
     step : bool
-        One frame more, and a pause.
+        Show the next frame, then pause.
     back : bool
-        The frame before the one that is shown, and a pause.
+        Show the previous frame, then pause.
     seek_s : float or None
-        Go to this time after the first frame.
+        Jump to this time after the first frame.
     speed : float or None
-        Times the recording's pace.
+        Multiple of the recording's pace.
     """
 
     paused: bool | None = None
@@ -120,27 +120,28 @@ class Request:
     verb : str
         ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report),
         ``record`` (start, mark or stop a recording), ``stitch`` (a stitching session),
-        ``replay`` (to a recording that is played).
+        ``replay`` (control a playing recording).
     transaction : str, int or None
-        The caller's own mark, given back in the reply.
+        The caller's own mark, echoed in the reply.
     profile : str
         Empty unless the verb is ``profile``.
     action : str
-        ``start``, ``mark`` or ``stop`` of the verb ``record``, a `StitchAction` of ``stitch``, else empty.
+        ``start``, ``mark`` or ``stop`` for the verb ``record``, a `StitchAction` for ``stitch``, else empty.
     name : str
-        Of the recording to start or the session to begin; empty is for the daemon to choose.
+        Name of the recording to start or the session to begin; if empty, the daemon chooses one.
     seconds : float
-        How long it shall be.
+        Length of the recording.
     text : str
-        What to write beside a mark; may be empty.
+        Text of a mark; may be empty.
     playback : PlaybackCommand or None
-        Of the verb ``replay``.
+        The command of the verb ``replay``.
     format : str
-        Of the frames in the recording: a folder of images with their table, or MCAP files.
+        Format of the recording: a folder of images with their table, or MCAP files.
     response_topic : str or None
-        MQTT 5: where the caller wants the reply, ``res/...`` below the sensor's topics; None is ``res/<verb>``.
+        MQTT 5: the topic that the caller wants the reply on, ``res/...`` below the sensor's topics; None is
+        ``res/<verb>``.
     correlation : bytes or None
-        MQTT 5: correlation data, given back with the reply.
+        MQTT 5: correlation data, echoed with the reply.
     """
 
     verb: Verb
@@ -159,7 +160,7 @@ class Request:
 def parse_request(
     verb: str, payload: bytes, *, response_topic: str | None = None, correlation: bytes | None = None
 ) -> Request:
-    """Understand the payload of ``req/<verb>``; an empty one means ``{}``.
+    """Decode the payload of ``req/<verb>``; an empty one means ``{}``.
 
     Raises
     ------
@@ -193,7 +194,7 @@ def parse_request(
 
 
 def parse_transaction(payload: bytes) -> str | int | None:
-    """The ``transaction`` of a request that `parse_request` refused, so that the error can echo it, or None."""
+    """The ``transaction`` of a request that `parse_request` rejected, for the error to echo; None if there is none."""
     try:
         return msgspec.json.decode(payload[:REQUEST_BYTES_MAX], type=_Echo).transaction
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

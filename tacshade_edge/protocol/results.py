@@ -1,4 +1,4 @@
-"""What a command that was done gives: one typed value each. The encoders are `messages` and `serial.answers`."""
+"""The results of commands, one type each. The encoders are `replies` and `serial.answers`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from tacshade_edge.reasons import Reason
 
 @dataclass(frozen=True, slots=True)
 class ProfileChosen:
-    """Of ``req/profile``: the profile that is now used."""
+    """Result of ``req/profile``: the profile now in use."""
 
     profile: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTaken:
-    """Of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, RMS of g between them in grey levels.
+    """Result of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, their RMS of g in grey levels.
 
-    `unstored` is why it will not outlive a restart; None when it does.
+    `unstored` is the reason why the reference will not survive a restart; None if it will.
     """
 
     frames: int
@@ -36,7 +36,7 @@ class SessionBegun:
 
 @dataclass(frozen=True, slots=True)
 class PressAdded:
-    """A press is on the disk and in the map.
+    """A press has been stored on disk and added to the map.
 
     Attributes
     ----------
@@ -54,19 +54,19 @@ class PressAdded:
 
 @dataclass(frozen=True, slots=True)
 class SessionEnded:
-    """The final map is made.
+    """The session ended and its final map is complete.
 
     Attributes
     ----------
     name : str
     presses, used : int
-        Those of the session, and those in the map.
+        Number of presses in the session, and in the map.
     refined : bool
-        The poses were not taken as exact.
+        Whether the poses were refined rather than taken as exact.
     disagreement_mm : float
-        RMS of how far presses would have to move in height to agree.
+        RMS of the height changes that would make the presses agree.
     area_mm2 : float
-        Of the map's cells that have a height.
+        Area of the map's cells that have a height.
     """
 
     name: str
@@ -79,7 +79,7 @@ class SessionEnded:
 
 @dataclass(frozen=True, slots=True)
 class SessionAborted:
-    """The session was thrown away with its presses."""
+    """The session was discarded with its presses."""
 
     name: str
     presses: int
@@ -87,7 +87,7 @@ class SessionAborted:
 
 @dataclass(frozen=True, slots=True)
 class SessionStatus:
-    """The open session; `missed` are contacts at rest that could not be added."""
+    """The open session; `missed` counts the contacts at rest that could not be added."""
 
     name: str
     presses: int
@@ -108,7 +108,7 @@ RequestResult = ProfileChosen | ReferenceTaken | SessionResult
 
 @dataclass(frozen=True, slots=True)
 class ClockRead:
-    """Of ``SYNC``: when it was received and when this reply is sent, in ns of the daemon's clock."""
+    """Result of ``SYNC``: when it arrived and when this reply is sent, in ns of the daemon's clock."""
 
     t2_ns: int
     t3_ns: int
@@ -116,7 +116,7 @@ class ClockRead:
 
 @dataclass(frozen=True, slots=True)
 class FrameCaptured:
-    """Of ``CAPTURE``: one reconstruction. `pose_error_us` is None where the frame has no pose."""
+    """Result of ``CAPTURE``: one reconstruction. `pose_error_us` is None if the frame has no pose."""
 
     frame: int
     t_ns: int
@@ -129,7 +129,7 @@ class FrameCaptured:
 
 @dataclass(frozen=True, slots=True)
 class LineStatus:
-    """Of ``STATUS``: the camera's state and rate in 1/s, how well the clock is known, what came on the line."""
+    """Result of ``STATUS``: the camera's state and rate in 1/s, the clock's accuracy, and the counts of the line."""
 
     camera: str
     fps: float
@@ -144,7 +144,7 @@ class LineStatus:
 
 @dataclass(frozen=True, slots=True)
 class TouchSwitched:
-    """Of ``TOUCH``: at most how many events a second come now; 0 is off."""
+    """Result of ``TOUCH``: the greatest number of events per second; 0 is off."""
 
     rate_hz: int
 

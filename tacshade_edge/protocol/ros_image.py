@@ -1,4 +1,4 @@
-"""Images of ROS 2 as their bags hold them: ``sensor_msgs/msg/Image`` and ``CompressedImage`` in CDR (XCDR1)."""
+"""Decode the images in ROS 2 bags: ``sensor_msgs/msg/Image`` and ``CompressedImage`` in CDR (XCDR1)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ENCAPSULATION_BYTES = 4
 
 @dataclass(frozen=True, slots=True)
 class PixelRows:
-    """An image that is not compressed, row by row.
+    """An uncompressed image, row by row.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class PixelRows:
     encoding : str
         ``mono8``, ``bgr8`` and the like, as both ROS 2 and Foxglove name them.
     step_bytes : int
-        Of a row, what pads it included.
+        Length of a row, including its padding.
     data : bytes
     """
 
@@ -32,17 +32,17 @@ class PixelRows:
 
 
 def decode_image(payload: bytes) -> PixelRows:
-    """Understand a ``sensor_msgs/msg/Image``. Raises DecodeError."""
+    """Decode a ``sensor_msgs/msg/Image``. Raises DecodeError."""
     cursor = _Cursor(payload)
     cursor.skip_header()
     height_px, width_px = cursor.u32(), cursor.u32()
     encoding = cursor.text()
-    cursor.skip(1)  # the order of bytes, of which these encodings have one
+    cursor.skip(1)  # is_bigendian: these encodings have one byte per channel
     return PixelRows(height_px, width_px, encoding, cursor.u32(), cursor.octets())
 
 
 def decode_compressed_image(payload: bytes) -> bytes:
-    """The file (JPEG, PNG) in a ``sensor_msgs/msg/CompressedImage``. Raises DecodeError."""
+    """Return the file (JPEG, PNG) in a ``sensor_msgs/msg/CompressedImage``. Raises DecodeError."""
     cursor = _Cursor(payload)
     cursor.skip_header()
     cursor.text()
@@ -50,7 +50,7 @@ def decode_compressed_image(payload: bytes) -> bytes:
 
 
 class _Cursor:
-    """Reads values, each aligned to its own size from the end of the encapsulation on (DDSI-RTPS 10, XCDR1)."""
+    """Reads values, each aligned to its own size, counted from the end of the encapsulation (DDSI-RTPS 10, XCDR1)."""
 
     def __init__(self, payload: bytes) -> None:
         if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] > 1:
@@ -62,7 +62,7 @@ class _Cursor:
         self._at += count
 
     def skip_header(self) -> None:
-        """``std_msgs/Header``: a time of 8 bytes, and the name of a frame."""
+        """Skip a ``std_msgs/Header``: a time of 8 bytes and a frame's name."""
         self.skip(8)
         self.text()
 

@@ -1,4 +1,4 @@
-"""What a scale writes on its serial line: a number and its unit, with whatever it puts around them."""
+"""Parse the serial output of a scale: a number and its unit, with any text around them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _READING = re.compile(r"([+-]?) *(\d+(?:[.,]\d+)?|[.,]\d+) *([a-z]+)", re.IGNORE
 
 
 def parse_reading(line: bytes) -> float | None:
-    """Newtons of a line, a mass by its weight; None where it has no number with a unit that is known.
+    """The force in N that a line reports, a mass as its weight; None if it has no number with a known unit.
 
     ``ST,GS,+  0.123 kg``, ``-12,5g`` and ``1.2 N`` are readings.
     """

@@ -1,4 +1,4 @@
-"""The one way to understand JSON that a sensor published: whoever reaches the broker may have written it."""
+"""Decode the JSON that a sensor published, strictly: anyone who reaches the broker may have written it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BYTES_MAX: Final = 1 << 16
 VALUES_MAX: Final = 1 << 14
 DEPTH_MAX: Final = 9
 CHARS_MAX: Final = 4096
-"""Of a text; the longest that a daemon publishes is a reason of a few hundred."""
+"""The longest text accepted; the longest that a daemon publishes is a reason of a few hundred characters."""
 _INTEGER_MAX: Final = 2**64
 _ERROR_CHARS_MAX, _KEY_CHARS_MAX = 200, 60
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
@@ -31,14 +31,14 @@ _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a type alone does not state, as part of an ``Annotated`` one.
+    """The bounds of an ``Annotated`` type.
 
     Attributes
     ----------
     least, most : float
-        Of a number its value, of an array or object its length.
+        Range of a number's value, or of an array's or object's length.
     pattern : str or None
-        The whole of a text matches it.
+        Regular expression that the whole text must match.
     """
 
     least: float = -math.inf
@@ -47,7 +47,7 @@ class Bounds:
 
 
 class _Mismatch(ValueError):
-    """A value that is not what its place is for; `place` grows on the way out."""
+    """A value of the wrong kind; each enclosing reader prepends its key or index to `place`."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -71,7 +71,7 @@ def _not(expected: str, value: Any) -> _Mismatch:
 
 
 def decode(what: str, payload: bytes, kind: type[T]) -> T:
-    """Understand a payload as a `kind`; keys that it does not have are ignored, but within the bounds too.
+    """Decode a payload as a `kind`; unknown keys are ignored, but the size limits apply to them too.
 
     Parameters
     ----------
@@ -79,19 +79,20 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
         The topic, for the error.
     payload : bytes
     kind : type
-        A dataclass, whose ranges are its own (`Bounds`), or a type that one of its fields may have.
+        A dataclass whose fields state their ranges (`Bounds`), or a type that such a field may have.
 
     Raises
     ------
     DecodeError
-        More bytes, values, levels or characters than a daemon publishes, a number that is none, not JSON, or no `kind`.
+        The payload has more bytes, values, levels or characters than a daemon publishes, holds a number that is not
+        finite, is not JSON, or is not a `kind`.
     """
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: found {len(payload)} bytes, expected at most {BYTES_MAX}")
     try:
         value = json.loads(str(payload, "utf-8"), parse_constant=_no_constant)
         _check(value)
-        whole: Any = kind  # else mypy asks whether a type has a hash
+        whole: Any = kind  # otherwise mypy doubts that a type is hashable
         read: T = _reader(whole)(value)
     except (ValueError, RecursionError) as error:  # ValueError: no UTF-8, too many digits, a dataclass's own check
         raise DecodeError(
@@ -101,7 +102,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
 
 
 def decode_object(what: str, payload: bytes) -> dict[str, Any]:
-    """Understand a payload as an object of any keys. Raises DecodeError as `decode`."""
+    """Decode a payload as an object with any keys. Raises DecodeError as `decode` does."""
     return decode(what, payload, dict[str, Any])
 
 
@@ -110,7 +111,7 @@ def _no_constant(name: str) -> None:
 
 
 def _check(value: Any) -> None:
-    """Raise ValueError for what is out of all bounds."""
+    """Raise ValueError if a value exceeds the size limits."""
     level, count = [value], 0
     for _ in range(DEPTH_MAX + 1):
         below: list[Any] = []
@@ -143,12 +144,12 @@ def _check_text(text: str) -> None:
         raise ValueError("found half of a character (a lone surrogate)")
 
 
-# -- from a type to what reads it, once for each type -----------------------------------------------------------------
+# -- make the reader of a type, once per type -------------------------------------------------------------------------
 
 
 @cache
 def _reader(kind: Any) -> _Reader:
-    """What turns a value of `json` into a `kind`, or raises _Mismatch."""
+    """The function that converts a value from `json` to a `kind`, or raises _Mismatch."""
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
         return lambda value: value

@@ -1,4 +1,4 @@
-"""How `height`, `cloud`, `shear` and `sigma` are encoded; `wire_decoder`, which subscribers have too, decodes them."""
+"""Encode `height`, `cloud`, `shear` and `sigma`; `wire_decoder`, which subscribers use too, decodes them."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def encode_height(
 ) -> bytes:
     """The ``height`` payload of a reconstruction.
 
-    A height is rounded to the nearest 0.001 mm and clamped to ±32.767 mm, infinities too; NaN becomes -32768.
-    A grid of more than 65535 rows or columns has no encoding: ValueError.
+    Heights are rounded to the nearest 0.001 mm and clamped to ±32.767 mm, infinities too; NaN becomes -32768.
+    Raises ValueError for a grid of more than 65535 rows or columns.
     """
     height = result.height
     whose = _whose(result, calibration_crc32)
@@ -76,7 +76,7 @@ def encode_height(
 def encode_shear(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
-    """The ``shear`` payload of a reconstruction with shear, coded as heights: x, y of each cell."""
+    """The ``shear`` payload of a reconstruction with shear: x, y of each cell, encoded like heights."""
     if result.shear_mm is None:
         raise ValueError(f"profile {result.profile} reports no shear")
     whose = _whose(result, calibration_crc32)
@@ -86,7 +86,7 @@ def encode_shear(
 def encode_sigma(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
-    """The ``sigma`` payload of a reconstruction with its errors, coded as heights."""
+    """The ``sigma`` payload of a reconstruction with sigma, encoded like heights."""
     if result.sigma_mm is None:
         raise ValueError(f"profile {result.profile} reports no error")
     whose = _whose(result, calibration_crc32)
@@ -105,7 +105,7 @@ def encode_cloud(
 
 
 def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int) -> bytes:
-    """The ``map/cloud`` payload: a ``cloud`` with points (N, 3) in the base frame; its sequence is the revision."""
+    """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame, with the revision as its sequence."""
     payload = points_mm.astype("<f4", copy=False).tobytes() + np.ones(len(points_mm), "<u2").tobytes()
     halves = struct.unpack("<2H", COUNT.pack(len(points_mm)))
     whose = (CONTACT, revision, calibration_crc32, t_ns, wall_ns)
@@ -113,15 +113,15 @@ def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t
 
 
 def _steps(values_mm: F32, height: HeightMap) -> tuple[tuple[int, ...], tuple[float, float, float], bytes]:
-    """Size, grid and int16 steps of values at each cell of a map."""
+    """Size, grid and int16 steps of a map's values."""
     rows, cols = values_mm.shape[:2]
     if max(rows, cols) > 0xFFFF:
         raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
     limit_mm = np.float32(_LIMIT * SCALE_MM)
-    steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the product, which could overflow
+    steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the multiplication, which could overflow
     np.multiply(steps, np.float32(1.0 / SCALE_MM), out=steps)
     np.rint(steps, out=steps)
-    np.fmax(steps, np.float32(OUTSIDE), out=steps)  # it takes the number where the other is NaN
+    np.fmax(steps, np.float32(OUTSIDE), out=steps)  # fmax replaces NaN
     return (rows, cols), (height.row0, height.col0, height.step_px), steps.astype("<i2").tobytes()
 
 

@@ -1,7 +1,7 @@
-"""The binary MQTT payloads ``height``, ``cloud``, ``shear`` and ``sigma``: a 96-byte little-endian header, raw values.
+"""Decode ``height``, ``cloud``, ``shear`` and ``sigma``: binary MQTT payloads, a 96-byte little-endian header and data.
 
-The layout is the table of docs/reference/mqtt/frames.md, a promise to subscribers: it may only be added to. So a
-decoder ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
+docs/reference/mqtt/frames.md defines the layout, a promise to subscribers: it may only grow. Therefore the decoder
+ignores unknown flag bits and reserved bytes and rejects everything else unknown.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96
 OUTSIDE: Final = -32768
 CELLS_MAX: Final = 1 << 22
-"""Of a grid that is decoded, and points of a cloud: a disc of 2048 px, each of its pixels a cell."""
+"""Most cells of a decoded grid, or points of a cloud: a disc of 2048 px with a cell for each pixel."""
 PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
-"""Of that many points, the largest kind."""
+"""Size of the largest payload, a cloud of `CELLS_MAX` points."""
 _PX_MAX, _MM_MAX = 1e5, 1e7
 _STEP_PX_LEAST: Final = 1e-6
 _UNIT_OFF_MAX: Final = 1e-2
@@ -39,12 +39,12 @@ COUNT: Final = struct.Struct("<I")
 CHECK: Final = struct.Struct("<II")
 _POINT_BYTES, _LABEL_BYTES = 12, 2
 _VALUES: Final = {HEIGHT: 1, SHEAR: 2, SIGMA: 1}
-"""Of a cell."""
+"""Number of values per cell of each kind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Message:
-    """What every kind carries.
+    """The fields of every kind.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class _Message:
         Frame number modulo 2^32.
     calibration_crc32 : int
     t_ns, wall_ns : int
-        Capture time: the sender's CLOCK_MONOTONIC, and Unix time.
+        Capture time in ns: the sender's CLOCK_MONOTONIC, and Unix time.
     contact, invalid, saturated, degraded : bool
         As in `Reconstruction`; the reasons are in ``health`` and ``status/camera``.
     pose : Pose or None
         ``base_T_flange`` at `t_ns`.
     pose_error_us : int
-        How far from `t_ns` the pose is known, in µs; 0 without a pose.
+        Uncertainty in µs of the time of the pose; 0 without a pose.
     """
 
     seq: int
@@ -75,7 +75,7 @@ class _Message:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GridMessage(_Message):
-    """What those of values at each cell carry: cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
+    """The grid of the kinds with a value per cell: cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
 
     row0: float
     col0: float
@@ -138,13 +138,13 @@ class SigmaMessage(_GridMessage):
 
 
 def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage | ShearMessage | SigmaMessage:
-    """Understand one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
+    """Decode one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
 
     Raises
     ------
     DecodeError
-        Too short, another magic, version, kind or codec, a length that does not fit, a wrong CRC, more than `CELLS_MAX`
-        cells or points, or a number that no sensor, robot or object has.
+        The payload is too short, has an unknown magic, version, kind or codec, a wrong length or CRC, more than
+        `CELLS_MAX` cells or points, or a number that no sensor, robot or object has.
     """
     data = bytes(data)
     kind, rows, cols = _check(data)
@@ -170,7 +170,7 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     if kind == CLOUD:
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
-        if not (np.abs(points) <= _MM_MAX).all():  # nor is it NaN
+        if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
             raise DecodeError(f"height/cloud payload: found a point out of range, expected all within {_MM_MAX:g} mm")
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
@@ -184,7 +184,7 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
 
 
 def _check(data: bytes) -> tuple[int, int, int]:
-    """Kind, rows and cols of a payload whose frame is sound; Raises DecodeError."""
+    """Check a payload's header, length and CRC; return its kind, rows and cols. Raises DecodeError."""
     if len(data) < HEADER_BYTES:
         raise DecodeError(
             f"height/cloud payload: found {len(data)} bytes, expected at least {HEADER_BYTES} (the header)"

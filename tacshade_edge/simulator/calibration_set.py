@@ -1,4 +1,4 @@
-"""Which ball presses calibrate a sensor: spread over its visible disc, in radius and in depth."""
+"""Choose the ball presses that calibrate a sensor: spread over its visible disc, in radius and in depth."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Pr
     """Draw ball presses and the radius of each ball in mm.
 
     Positions follow a sunflower over the inner two thirds of the visible disc, so that contacts stay visible; radii
-    (3 to 9 mm) and depths (0.5 to 4 mm) are stratified, then shuffled, so that any subset covers their ranges. On
-    skins of another radius than 20 mm all lengths scale with it.
+    (3 to 9 mm) and depths (0.5 to 4 mm) are stratified, then shuffled, so that any subset covers their ranges. All
+    lengths are for a skin of 20 mm and scale with its radius.
     """
     rng = np.random.default_rng((seed, 4))
     scale = model.skin_radius_mm / 20

@@ -1,18 +1,18 @@
-"""Skin that is moved along itself: a tangential contact problem on the skin's grid.
+"""Drag the skin along itself: a tangential contact problem on the skin's grid.
 
-The same membrane on an elastic foundation as in `skin`: the tangential displacement w minimises ∫ λt²|∇w|² + w² with a
-traction q = kt (w - λt²∇²w) where objects touch. There the skin goes with the object (sticks) as far as Coulomb's law
-|q| <= μ p allows, with the pressure p = kn (h - λ²∇²h) of the normal problem, and slides under it elsewhere: the static
-problem of friction at a given pressure (Duvaut and Lions 1976, ch. III; Johnson, Contact Mechanics, 1985, ch. 7). For
-λt = λ the traction is the difference of two such pressures (Ciavarella 1998; Jäger 1998), which is what Cattaneo and
-Mindlin found for balls on a half space.
+The model is the same membrane on an elastic foundation as in `skin`: the tangential displacement w minimises
+∫ λt²|∇w|² + w² with a traction q = kt (w - λt²∇²w) where objects touch. There the skin moves with the object (sticks)
+as far as Coulomb's law |q| <= μ p allows, with the pressure p = kn (h - λ²∇²h) of the normal problem, and slides under
+it elsewhere: the static problem of friction at a given pressure (Duvaut and Lions 1976, ch. III; Johnson, Contact
+Mechanics, 1985, ch. 7). For λt = λ, the traction is the difference of two such pressures (Ciavarella 1998; Jäger 1998),
+as Cattaneo and Mindlin found for balls on a half space.
 
-The dome gives way as a whole, too: it leans like a short beam that the housing clamps at the rim (`leant_mm`). Skin and
-dome are springs in series, so what slides loads neither further. And a dome full of gel, which keeps its volume, bulges
-beside what is pressed into it (`bulged_mm`).
+The dome also yields as a whole: it leans like a short beam that the housing clamps at the rim (`leant_mm`). Skin and
+dome are springs in series, so sliding skin loads neither further. A dome full of gel, which keeps its volume, bulges
+around the objects pressed into it (`bulged_mm`).
 
-The problem is static: it knows how far an object has gone since it touched, not on which way, so a contact that slid
-sticks again at once where the object turns back.
+The problem is static: it depends on how far an object has moved since it touched, not on its path, so a contact that
+slid sticks again at once when the object turns back.
 """
 
 from __future__ import annotations
@@ -41,33 +41,33 @@ from tacshade_edge.simulator.skin import (
 from tacshade_edge.types import F32, F64, I64, Slip
 
 STICKS = 0.9
-"""Part of a contact that goes with the object, from which it sticks: the outermost ring of any contact slides."""
+"""Least part of a contact that moves with the object if it sticks: the outermost ring of any contact slides."""
 SLIDES = 0.02
-"""Part of a contact up to which it slides as a whole."""
+"""Greatest part of a contact that moves with the object if it slides as a whole."""
 
-_EVERY = 2  # nodes of the skin's grid to one of this one's: w is smooth
+_EVERY = 2  # step of this grid in nodes of the skin's grid: w is smooth
 _TOUCHING_MM = 1e-3
 _STUCK_MM = 0.02
-_STEEPEST = 0.75  # of w over λt, and of any change of the origin: skin that would fold slides
+_STEEPEST = 0.75  # limit of w over λt, and of any change of the origin: skin that would fold slides
 _SWAY_TOLERANCE_MM = 0.05
 
 Shape = Callable[[F32 | None], Skin]
-"""From `Skin.leaning_mm` to the skin that presses shape, as `skin.press_skin` does."""
+"""A function from `Skin.leaning_mm` to the skin shaped by the presses, as in `skin.press_skin`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """Nodes of a grid that touch.
+    """The nodes of a grid in contact.
 
     Attributes
     ----------
     rows, cols : int (N,)
     owner : int (N,)
-        Which press.
+        Index of the press that touches the node.
     held_mm : float (N, 2)
-        w that sticks, in mm of the chart.
+        w if the node sticks, in mm of the chart.
     touched_mm : float (N, 2)
-        Chart coordinates of the undeformed skin at x and y where the object touched it, before it was moved.
+        Chart coordinates of the undeformed skin at the x and y where the object touched it, before the drag.
     pressure_mm : float (N,)
         p / kn.
     """
@@ -82,14 +82,15 @@ class Contacts:
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """How a skin gives way along itself.
+    """How a skin yields along itself.
 
     Attributes
     ----------
     lean : callable
-        How the leaning dome moves its skin: (..., 3) mm at unit vectors (..., 3), by a sway (2,) in mm at the apex.
+        Displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a sway (2,) in mm at the
+        apex.
     carry : callable
-        w, float32 (2, rows, cols) in mm of the chart, from the contacts, the grid's weights of mass
+        w, float32 (2, rows, cols) in mm of the chart, from the contacts, the grid's mass weights
         (`skin.mass_weight`), its step in mm and the model.
     traction : callable
         q / kt, float32 (2, rows, cols) in mm, that holds such a w, from w, the weights, the step and the model.
@@ -116,10 +117,9 @@ def drag_skin(
     model : SensorModel
     presses : sequence of Press
     mechanics : Mechanics, optional
-        Other ones than `MEMBRANE`.
+        By default `MEMBRANE`.
     rest : Skin, optional
-        What nothing holds of the lean and of the displacement along the skin, of one that crept; `shape` knows the
-        rest of it.
+        The unloaded skin after creep: its lean and tangential displacement; `shape` accounts for its other properties.
     """
     mechanics = mechanics or MEMBRANE
     if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
@@ -128,15 +128,15 @@ def drag_skin(
     sway_mm = model.sway * np.mean([(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0)
     skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
-    if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # something slid
+    if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
         skin, _ = _swaying(shape, model, presses, mechanics, rest, loaded_mm)
     return skin
 
 
 def leant_mm(direction: F64, sway_mm: F64) -> F64:
-    """How the leaning dome moves its skin: (..., 3) mm at unit vectors (..., 3), by `sway_mm` (2,) at the apex.
+    """The displacement of the leaning dome's skin, (..., 3) mm, at unit vectors (..., 3); `sway_mm` (2,) at the apex.
 
-    It shears from the rim up, and turns by half as much, as a beam does that is as long as it is wide.
+    The dome shears from the rim up and turns by half as much, like a beam that is as long as it is wide.
     """
     low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
@@ -145,7 +145,7 @@ def leant_mm(direction: F64, sway_mm: F64) -> F64:
 
 
 def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
-    """How the sides of the dome move outwards, (..., 3) mm at unit vectors (..., 3), by so much volume in all."""
+    """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3), by `volume_mm3` in total."""
     rim = math.radians(RIM_HALF_ANGLE_DEG)
     angle = np.minimum(np.arccos(np.clip(direction[..., 2], -1, 1)) / rim, 1)
     inner = np.linspace(0, rim, 200)
@@ -157,14 +157,14 @@ def _displaced_mm3(radius_mm: float, presses: Sequence[Press]) -> float:
     """Volume of the objects inside the undeformed skin, as seen from O; to first order in h."""
     obstacle = obstacle_of(radius_mm, presses)
     step_mm = undeformed(radius_mm).step_mm
-    weight = mass_weight(radius_mm, step_mm, len(obstacle) // 2)  # is the area's, inside the rim
+    weight = mass_weight(radius_mm, step_mm, len(obstacle) // 2)  # inside the rim, equal to the area's weight
     return float(np.sum(obstacle * np.minimum(weight, 1))) * step_mm**2
 
 
 def _swaying(
     shape: Shape, model: SensorModel, presses: Sequence[Press], mechanics: Mechanics, rest: Skin | None, sway_mm: F64
 ) -> tuple[Skin, F64]:
-    """The skin of a dome that leans by `sway_mm`, and how far contacts carry it beyond that, in the mean: (2,) mm."""
+    """The skin of a dome that leans by `sway_mm`, and the mean further displacement by the contacts, (2,) mm."""
     radius_mm = model.skin_radius_mm
     direction = node_directions(radius_mm).astype(np.float64)
     moved = mechanics.lean(direction, sway_mm)
@@ -208,12 +208,12 @@ def _swaying(
 
 
 def slip_of(stuck: float) -> Slip:
-    """How a contact slips, by `Skin.stuck`: full is one that slides as a whole or came to rest after it has."""
+    """The slip of a contact, from `Skin.stuck`: full if it slides as a whole or has come to rest after doing so."""
     return Slip.STICK if stuck >= STICKS else Slip.FULL if stuck <= SLIDES else Slip.PARTIAL
 
 
 def loads_of(skin: Skin, model: SensorModel, presses: Sequence[Press]) -> tuple[Load, ...]:
-    """What each press that shaped a skin bears: `Skin.loads`, also where nothing drags."""
+    """The load of each press that shaped a skin: `Skin.loads`, computed here if nothing drags."""
     if skin.loads or not presses:
         return skin.loads
     direction = node_directions(skin.radius_mm).astype(np.float64)
@@ -249,7 +249,7 @@ def _mean(vectors: F64) -> tuple[float, float]:
 
 
 def contact_nodes(skin: Skin, direction: F64, presses: Sequence[Press]) -> tuple[I64, I64, I64, F64]:
-    """Every other node that touches: rows and columns among those, which press, and the point (N, 3) in mm."""
+    """Every other node in contact: its row and column on that coarse grid, its press, and its point (N, 3) in mm."""
     every = slice(None, None, _EVERY)
     pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
     rows, cols = np.nonzero(((obstacle > 0) & (pressed <= obstacle + _TOUCHING_MM))[every, every])
@@ -267,14 +267,14 @@ def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presse
     before = points[:, :2].copy()
     for k, press in enumerate(presses):
         before[owner == k] = press.before_drag(points[owner == k, :2])
-    # What goes along -z with an object keeps its x and y, so these say where on the skin it was.
+    # Skin that moves along -z with an object keeps its x and y, which therefore locate it on the undeformed skin.
     touched = _chart_over(before, skin.radius_mm)
     held = _chart_over(points[:, :2], skin.radius_mm) - touched
     held -= leant[every, every][rows, cols]
     pressure_mm = np.maximum(net_pull(skin, model.skin_decay_mm), 0) * np.float32(
         (model.skin_decay_mm / skin.step_mm) ** 2
     )
-    # Edges press along lines, which the coarse grid's nodes share.
+    # Edges press along lines; smoothing shares their pressure among the coarse grid's nodes.
     pressure_mm = cv2.sepFilter2D(pressure_mm, -1, np.array((0.25, 0.5, 0.25)), np.array((0.25, 0.5, 0.25)))
     return Contacts(rows, cols, owner, held, touched, pressure_mm[every, every][rows, cols])
 
@@ -302,9 +302,9 @@ MEMBRANE = Mechanics(leant_mm, carry, traction_mm)
 
 
 def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
-    """To which part displacements must be weakened lest they fold the skin over itself, as between contacts that meet.
+    """The factor on displacements that keeps the skin from folding over itself, as between contacts that meet.
 
-    It is continuous, so that what is dragged on and on does not jump.
+    It is continuous, so that a long drag does not jump.
     """
     (xx, yx), (xy, yy) = ([np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0))
     # The area of a node's cell is 1 + part * trace + part² * determinant, and must be 1 - _STEEPEST at least.
@@ -315,7 +315,7 @@ def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
 
 
 def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
-    """Chart coordinates (N, 2) of the undeformed skin at x and y; of its equator where there is none."""
+    """Chart coordinates (N, 2) of the undeformed skin at x and y; beyond the skin, those of its equator."""
     rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
     on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, 1e-9))
     z = np.sqrt(radius_mm**2 - np.sum(on * on, axis=1))

@@ -13,12 +13,12 @@ _RELAXATION = 1.7
 
 
 def slid(held: F32, limit: F32, mass: F32) -> F32:
-    """Solve (4 + m) w - sum of the neighbours = r where |r| is at most a limit, w as held where that is enough.
+    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit; w equals `held` where the limit allows it.
 
     Parameters
     ----------
     held : float32 (2, rows, cols)
-        w that sticks.
+        w if the node sticks.
     limit : float32 (rows, cols)
         Above 0 where something touches.
     mass : float32 (rows, cols)
@@ -26,7 +26,7 @@ def slid(held: F32, limit: F32, mass: F32) -> F32:
     Returns
     -------
     float32 (2, rows, cols)
-        w; 0 on the border. Projected red-black over-relaxation, begun on a grid of a quarter of the nodes.
+        w; 0 on the border. Found by projected red-black over-relaxation that starts on a quarter of the nodes.
     """
     rows, cols = mass.shape
     if min(mass.shape) >= 24:
@@ -75,7 +75,7 @@ def slid(held: F32, limit: F32, mass: F32) -> F32:
 
 
 def finer(coarse: F32, shape: tuple[int, int]) -> F32:
-    """(2, rows, cols) on a grid of twice the step to one of a shape: its node (2i, 2j) is (i, j) of the coarse one."""
+    """Resample (2, rows, cols) to a grid with half the step: its node (2i, 2j) is node (i, j) of the coarse one."""
     to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.stack(

@@ -1,7 +1,7 @@
-"""What an object and the skin under it bear: pressure along the radius, traction along the skin, summed over a contact.
+"""The load between an object and the skin: pressure along the radius, traction along the skin, summed over a contact.
 
-Skin units: p / kn and q / kt in mm, so that a load is in mm³. How stiff a skin is along its radius and along itself,
-kn and kt, stays open: `SensorModel.coulomb` is μ kn / kt, and who adds both loads up states μ.
+Loads are in skin units, p / kn and q / kt in mm, so that a load is in mm³. The stiffnesses kn along the radius and kt
+along the skin are left open: `SensorModel.coulomb` is μ kn / kt, and callers that add both loads state μ.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from tacshade_edge.types import F64, freeze
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """Of one press.
+    """The load of one press.
 
     Attributes
     ----------
     normal_mm3 : float
         ∫ p / kn over its contact, 0 or more.
     shear_mm3 : float
-        ∫ |q| / kt over its contact, 0 or more. Of a drag it is the tangential load; of a twist, too, whose tractions
-        cancel out in that.
+        ∫ |q| / kt over its contact, 0 or more: the tangential load of a drag, and also that of a twist, whose tractions
+        cancel in `pull_mm3`.
     push_mm3 : float64 (3,)
-        Force of the pressure on the object over kn, in the sensor frame. All of it passes through O.
+        Force of the pressure on the object over kn, in the sensor frame; its line of action passes through O.
     pull_mm3 : float64 (3,)
         Force of the traction on the object over kt.
     torque_mm4 : float64 (3,)
-        Its torque about O.
+        Torque of the traction about O.
     surplus : float
-        Part of its drag and twist that it could go back without sticking anywhere; 0 where it sticks.
+        Part of its drag and twist that the object could reverse without sticking anywhere; 0 if it sticks.
     """
 
     normal_mm3: float
@@ -45,29 +45,29 @@ class Load:
         freeze(self, "push_mm3", "pull_mm3", "torque_mm4")
 
     def turned(self, rotation: F64) -> Load:
-        """The same along other axes, by a rotation (3, 3)."""
+        """The same load along other axes, turned by a rotation (3, 3)."""
         push, pull, torque = (rotation @ each for each in (self.push_mm3, self.pull_mm3, self.torque_mm4))
         return replace(self, push_mm3=push, pull_mm3=pull, torque_mm4=torque)
 
     def margin(self, coulomb: float) -> float:
-        """1 less the part of what Coulomb's law allows that is used: 1 bears nothing along the skin, 0 slides."""
+        """1 minus the used share of Coulomb's limit: 1 has no load along the skin, 0 slides."""
         most = coulomb * self.normal_mm3
         return 1 - min(self.shear_mm3 / most, 1.0) if most > 0 else 0.0
 
 
 def summed(direction: F64, points_mm: F64, pressure_mm: F64, traction_mm: F64, area_mm2: float, surplus: float) -> Load:
-    """Add up a contact's nodes.
+    """Sum the loads of a contact's nodes.
 
     Parameters
     ----------
     direction, points_mm : float64 (N, 3)
-        Unit vectors from O to them, and where they are.
+        Unit vectors from O to the nodes, and their positions.
     pressure_mm : float64 (N,)
         p / kn.
     traction_mm : float64 (N, 2)
-        q / kt of the skin, along the chart's axes; a length of the chart is taken for one of the skin.
+        q / kt of the skin, along the chart's axes; a length in the chart is taken as one on the skin.
     area_mm2 : float
-        Of each.
+        Area of each node.
     surplus : float
         `Load.surplus`.
     """

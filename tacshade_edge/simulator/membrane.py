@@ -14,7 +14,7 @@ _AROUND = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def solve(obstacle: F32, mass: F32) -> F32:
-    """Projected red-black over-relaxation, begun on a grid of a quarter of the nodes. h = 0 on the border."""
+    """Solve by projected red-black over-relaxation, starting on a quarter of the nodes; h = 0 on the border."""
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
         coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
@@ -36,7 +36,7 @@ def solve(obstacle: F32, mass: F32) -> F32:
     gain = omega / (4 + mass)
     keep = np.float32(1) - omega
     rows, cols = height.shape
-    # Nodes of even and odd rows and columns lie apart: a node's neighbours are then without gaps.
+    # Nodes of even and odd rows and columns are stored apart, so that a node's neighbours are contiguous.
     apart = [[np.ascontiguousarray(height[i::2, j::2]) for j in (0, 1)] for i in (0, 1)]
     planes = []
     for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
@@ -64,6 +64,6 @@ def solve(obstacle: F32, mass: F32) -> F32:
 
 
 def _part(apart: list[list[F32]], row: int, col: int, shape: tuple[int, int]) -> F32:
-    """Every other node from (row, col) on."""
+    """Every other node, starting at (row, col)."""
     there = apart[row % 2][col % 2]
     return there[row // 2 : row // 2 + shape[0], col // 2 : col // 2 + shape[1]]

@@ -13,14 +13,14 @@ from tacshade_edge.types import Disc, Geometry
 Surround = Literal["bright", "dark"]
 
 RIM_HALF_ANGLE_DEG = 72.0
-"""The housing clamps the skin here (h = 0), measured at O from +z; the visible circle must lie inside."""
+"""Angle at O from +z at which the housing clamps the skin (h = 0); the visible circle must lie inside."""
 
 MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """One sensor: skin, pins and markers, camera, light. Radii given in pitches are radii, not diameters.
+    """The parameters of one sensor: skin, pins and markers, camera, light. Radii in pitches are radii, not diameters.
 
     Attributes
     ----------
@@ -32,46 +32,46 @@ class SensorModel:
         Distance between neighbouring pins of the hexagonal lattice, on the undeformed skin.
     lattice_rotation_deg : float
     pin_length_pitches, pin_tip_radius_pitches, pin_base_radius_pitches, marker_radius_pitches : float
-        Pins are frusta from the skin inwards. Markers lie on the skin in the triangle centres of the lattice; where
-        they overlap (radius over 0.29 pitches) they join into a white ground with a dark dot under every pin.
+        Pins are frusta that point inwards from the skin. Markers lie on the skin at the centres of the lattice's
+        triangles; if they overlap (radius over 0.29 pitches), they merge into a white ground with dark dots under pins.
     position_tolerance_mm, size_tolerance : float
-        Print tolerances: standard deviation of a feature's position, and of its radius or length as a ratio.
+        Print tolerances: standard deviations of a feature's position, and of its radius or length as a ratio.
     skin_decay_mm : float
         λ, the length over which the skin's skirt decays outside a contact.
     friction : float
         1: the skin sticks to what presses it and goes along -z with it; 0: it slides and moves along its radius.
     drag_decay_mm : float
-        λt, the length over which a displacement along the skin decays beside a contact that drags it.
+        λt, the length over which a displacement along the skin decays next to a contact that drags it.
     coulomb : float
         μ kn / kt: Coulomb's coefficient times the foundation's stiffness along the radius over that along the skin.
     sway : float
-        Part of a drag that the whole dome takes as long as the skin sticks: 0 to below 1.
+        Part of a drag that the whole dome takes while the skin sticks: 0 to 0.9.
     bulge : float
-        Part of the volume that objects displace which comes out at the dome's sides: 1 for a gel that fills it.
+        Part of the displaced volume that bulges out at the dome's sides: 1 for a dome filled with gel.
     pin_lag : float
-        Part of the skin's displacement by drag that the tips of its pins stay behind.
+        Part of the skin's displacement by drag by which the tips of its pins lag behind.
     creep_part, creep_s : float
-        Part of its deformation by which the skin grows under a load that is held, and the time in s over which it
-        does and over which the dent of a release recovers (`creep`): up to a ninth, so that the dent is at most a
-        tenth of the depth; 0.1 to 3 s. Only what moves in time (`moving_scene`) creeps.
+        Part of its deformation by which the skin creeps under a held load, at most a ninth so that the dent after a
+        release is at most a tenth of the depth; and the time constant in s of the creep and of the dent's recovery
+        (`creep`), 0.1 to 3 s. Only scenes that move in time (`moving_scene`) creep.
     light : float
-        Grey level of a white marker in the middle of the disc, 0 to 255.
+        Grey level of a feature of reflectance 1 in the middle of the disc, 0 to 255.
     vignetting : float
         Light lost at the edge of the visible circle, as a ratio.
     marker_reflectance, skin_reflectance, pin_reflectance, pin_tip_reflectance : float
-        Ratios; `light` is what reflectance 1 gives.
+        Reflectances as ratios; `light` is the grey level at 1.
     colour_bgr : three floats
         Gain of each channel: markers look bluish under most LED rings.
     blur_px : float
         Standard deviation of the lens blur.
     read_noise_grey, shot_noise_grey : float
-        Standard deviation of the noise on black, and what is added to it (in squares) on grey level 255.
+        Standard deviation of the noise on black, and of the noise added to it (in quadrature) at grey level 255.
     surround : str
-        Outside the visible circle: ``bright`` (LED ring and housing) or ``dark``.
+        Image outside the visible circle: ``bright`` (LED ring and housing) or ``dark``.
     specular_spots : int
-        Small highlights of the LEDs inside the visible circle; they do not move with the skin.
+        Number of small LED highlights inside the visible circle; they do not move with the skin.
     print_seed : int
-        The print tolerances and the highlights are drawn from it.
+        Seed of the print tolerances and the highlights.
     """
 
     skin_radius_mm: float = 20.0
@@ -114,7 +114,7 @@ class SensorModel:
     print_seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be simulated, with the parameter's name."""
+        """Raise ValueError with the parameter's name for a value that cannot be simulated."""
         positive = (
             "skin_radius_mm", "image_height_px", "image_width_px", "disc_radius_px", "pitch_mm", "skin_decay_mm",
             "drag_decay_mm", "creep_s",
@@ -148,7 +148,7 @@ class SensorModel:
 
     @property
     def geometry(self) -> Geometry:
-        """What a perfect calibration of this sensor finds."""
+        """The geometry that a perfect calibration of this sensor finds."""
         return Geometry(
             self.skin_radius_mm,
             self.camera_distance_mm,
@@ -158,10 +158,10 @@ class SensorModel:
 
 
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
-    """Draw a sensor of the TacShade family: other print, other lens, other light; the same seed, the same sensor.
+    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor.
 
-    Pin tips of less than a third of the pitch, or a skin that slides, give sensors that a ball darkens; there are none
-    here (one in a hundred hardly answers to a ball).
+    Pin tips under a third of the pitch, or a skin that slides, would give sensors that a ball darkens; the ranges
+    exclude them (one sensor in a hundred hardly responds to a ball).
     """
     rng = np.random.default_rng(seed)
 
@@ -169,7 +169,7 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         return float(rng.uniform(low, high))
 
     side_px = min(image_height_px, image_width_px)
-    drag_rng = np.random.default_rng((seed, 4))  # of its own: sensors that were drawn before there was drag stay
+    drag_rng = np.random.default_rng((seed, 4))  # a separate stream keeps the sensors drawn before drag was added
     creep_rng = np.random.default_rng((seed, 6))
     disc_radius_px = side_px * draw(0.36, 0.45)
     slack_px = 0.5 * side_px - disc_radius_px

@@ -1,4 +1,4 @@
-"""What changes between a sensor's images in use: functions from image to image, uint8 (H, W) or (H, W, 3)."""
+"""Disturb a sensor's images as in use: functions from image to image, uint8 (H, W) or (H, W, 3)."""
 
 from __future__ import annotations
 

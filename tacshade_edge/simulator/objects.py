@@ -1,7 +1,7 @@
 """Objects to press: signed distance functions in mm, vectorised.
 
 Every shape stands on its own origin: its lowest point has z = 0 there, and it extends towards +z, away from the
-sensor. Distances are exact or too small, never too large, outside, so that a ray may step by them.
+sensor. Outside, distances are exact or too small, never too large, so that a ray may step by them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from tacshade_edge.types import F64
 
 Sdf = Callable[[F64], F64]
-"""Points (N, 3) in mm to signed distance (N,) in mm, negative inside."""
+"""A function from points (N, 3) in mm to signed distances (N,) in mm, negative inside."""
 
 _HEIGHT_MM = 30.0  # of extruded shapes: higher than any press is deep
 _ROUNDING_MM = 0.2  # of their edges, as printed
@@ -72,7 +72,7 @@ def _disc(radius: float) -> Callable[[F64, F64], F64]:
 
 
 def _moon(outer: float, inner: float, offset: float) -> Callable[[F64, F64], F64]:
-    """A disc less another disc whose centre is `offset` along x; centred on the crescent's own middle."""
+    """A disc minus another disc with its centre at `offset` along x; centred on the middle of the crescent."""
     a = (outer**2 - inner**2 + offset**2) / (2 * offset)
     b = math.sqrt(max(outer**2 - a**2, 0.0))
     middle = 0.5 * (-outer + a)
@@ -135,7 +135,7 @@ def _bar() -> Shape:
 
 
 def _edge() -> Shape:
-    """A wedge of 90°, its edge along x and facing the skin, slightly rounded."""
+    """A wedge of 90° with a slightly rounded edge along x that faces the skin."""
     wedge = polygon(((0.0, 0.0), (8.0, 8.0), (8.0, 20.0), (-8.0, 20.0), (-8.0, 8.0)))
     rounding = 0.3
 
@@ -149,14 +149,14 @@ def _edge() -> Shape:
 
 
 def bars(width_mm: float, gap_mm: float, length_mm: float = 12.0) -> Shape:
-    """Two flat bars of a width along y, beside each other along x; a gap of 0 makes them one."""
+    """Two flat bars along y of the same width, side by side along x; a gap of 0 makes them one."""
     one = _rectangle(width_mm / 2, length_mm / 2)
     middle = (gap_mm + width_mm) / 2
     return _extrude("bars", lambda x, y: one(np.abs(x) - middle, y))
 
 
 def ridge(width_mm: float, length_mm: float = 12.0) -> Shape:
-    """One flat bar along y; 0.4 mm and wider, for its edges are rounded."""
+    """One flat bar along y, at least 0.4 mm wide because its edges are rounded."""
     return _extrude("ridge", _rectangle(width_mm / 2, length_mm / 2))
 
 

@@ -1,7 +1,7 @@
 """The touchpad of the paper's Fig. 7: curves, a circle, fences of several widths and intervals, two dots.
 
-A plate whose top is z = 0 in the robot's base frame, with bulges on it that have rounded edges. A sensor at a pose
-meets a piece of it as one more object in its own frame.
+A plate with its top at z = 0 in the robot's base frame carries bulges with rounded edges. To a sensor at a pose, the
+pad is one more object in the sensor frame.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _REACH_MM = 18.0  # from a sensor's axis; bulges farther away are below any skin
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A straight bulge with square ends, its middle line from one point to the other."""
+    """A straight bulge with square ends; its middle line runs from one point to the other."""
 
     x0_mm: float
     y0_mm: float
@@ -46,7 +46,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A part of a ring with round ends; its middle line runs from one angle to the other, from x towards y."""
+    """A part of a ring with round ends; its middle line runs between two angles, measured from x towards y."""
 
     x_mm: float
     y_mm: float
@@ -86,7 +86,7 @@ Bulge = Bar | Arc | Dot
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """A plate from (0, 0) to (`width_mm`, `length_mm`) in x and y, and what stands on it."""
+    """A plate from (0, 0) to (`width_mm`, `length_mm`) in x and y, with bulges on it."""
 
     width_mm: float
     length_mm: float
@@ -102,13 +102,13 @@ class Pad:
         return reduce(np.maximum, (_top_mm(b.outline(x, y)) for b in self.bulges), np.zeros_like(x))
 
     def distance_mm(self, points_mm: F64) -> F64:
-        """Signed distance (N,) in mm of points (N, 3) in the base frame, negative inside; the plate has no end."""
+        """Signed distance (N,) in mm of points (N, 3) in the base frame, negative inside; the plate is infinite."""
         return _distance(self.bulges, points_mm)
 
     def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
-        """What a sensor at a pose meets, as a shape for a `Press` of depth 0 at (0, 0).
+        """The pad under a sensor at a pose, as a shape for a `Press` of depth 0 at (0, 0).
 
-        Such a press has its origin in the undeformed skin's apex.
+        The origin of such a press is the apex of the undeformed skin.
         """
         x, y, _ = base_T_sensor.translation_mm
         near = [b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM]
@@ -137,7 +137,7 @@ def _top_mm(outline_mm: F64) -> F64:
 
 
 def touchpad() -> Pad:
-    """The pad: 90 x 70 mm. Its edges lie on no map's grid, as a real pad's do not."""
+    """The pad of 90 x 70 mm. Like a real pad's, its edges do not lie on a map's grid."""
     curves = (Arc(14.1, 50.1, 6.0, 3.0, 0.0, 180.0), Arc(26.1, 50.1, 6.0, 3.0, 180.0, 360.0))
     ring = Arc(20.1, 21.1, 11.0, 3.0)
     fences = tuple(
@@ -151,16 +151,16 @@ def touchpad() -> Pad:
 
 
 class Surface(Protocol):
-    """What a robot presses all over: `Pad`, `drawn_pads.Relief`."""
+    """A surface that a robot scans with presses: `Pad`, `drawn_pads.Relief`."""
 
     @property
     def width_mm(self) -> float:
-        """Along x, from 0."""
+        """Extent along x, from 0."""
         ...
 
     @property
     def length_mm(self) -> float:
-        """Along y, from 0."""
+        """Extent along y, from 0."""
         ...
 
     @property
@@ -173,12 +173,12 @@ class Surface(Protocol):
         ...
 
     def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
-        """What a sensor at a pose meets, as `Pad.under`."""
+        """The surface under a sensor at a pose, as in `Pad.under`."""
         ...
 
 
 def raster(surface: Surface, step_mm: float) -> F32:
-    """Heights at (j step, i step): float32 (rows, cols)."""
+    """Heights in mm at (j step, i step): float32 (rows, cols)."""
     x = np.arange(round(surface.width_mm / step_mm) + 1) * step_mm
     y = np.arange(round(surface.length_mm / step_mm) + 1) * step_mm
     return surface.height_mm(*np.meshgrid(x, y)).astype(np.float32)
@@ -187,7 +187,7 @@ def raster(surface: Surface, step_mm: float) -> F32:
 def scan(pad: Surface, step_mm: float, depth_mm: float, skin_radius_mm: float) -> list[Rigid]:
     """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro.
 
-    `depth_mm` is how far the undeformed apex is below the highest place.
+    `depth_mm` is the depth of the undeformed apex below the highest point.
     """
     z = pad.top_mm - depth_mm + skin_radius_mm
     xs, ys = (np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist() for side in (pad.width_mm, pad.length_mm))
@@ -199,7 +199,7 @@ _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
 
 
 def varied(poses: Sequence[Rigid], skin_radius_mm: float, depth_mm: float, tilt_deg: float, seed: int) -> list[Rigid]:
-    """The same presses, each up to so much deeper or shallower, and tilted by up to so much about its apex."""
+    """The same presses, each up to `depth_mm` deeper or shallower and tilted by up to `tilt_deg` about its apex."""
     rng = np.random.default_rng((seed, 5))
     out = []
     for pose in poses:
@@ -212,7 +212,7 @@ def varied(poses: Sequence[Rigid], skin_radius_mm: float, depth_mm: float, tilt_
 def disturbed(
     poses: Sequence[Rigid], skin_radius_mm: float, sigma_mm: float, sigma_deg: float, seed: int
 ) -> list[Rigid]:
-    """What a robot reports that is off by Gaussian noise: in every axis, and about a random axis through the apex."""
+    """The poses that a robot reports with Gaussian noise along every axis and about a random axis through the apex."""
     rng = np.random.default_rng((seed, 6))
     out = []
     for pose in poses:
@@ -224,5 +224,5 @@ def disturbed(
 
 
 def about_apex(pose: Rigid, rotation: Rigid, skin_radius_mm: float) -> Rigid:
-    """A sensor's pose after a rotation, in its own axes, about its undeformed apex."""
+    """A sensor's pose after a rotation, in the sensor's axes, about its undeformed apex."""
     return pose @ shift(0, 0, skin_radius_mm) @ rotation @ shift(0, 0, -skin_radius_mm)

@@ -1,4 +1,4 @@
-"""An object at a place: the convention of every press in this package."""
+"""An object pressed at a position: the convention of every press in this package."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from tacshade_edge.types import F64
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """An indenter that came along -z and was then moved along the skin.
+    """An indenter that moved along -z and then along the skin.
 
     Attributes
     ----------
     shape : Shape
     x_mm, y_mm : float
-        Where its own origin is; without a tilt that is its lowest point. As pictured, after the drag.
+        Position of the object's origin after the drag, as in the image; without a tilt, the origin is its lowest point.
     depth_mm : float
-        The undeformed skin's z at (x, y) less the z of the lowest point. It is not travel from first touch: a wide
-        object off the axis touches earlier, nearer to the apex. Negative: above the skin there.
+        z of the undeformed skin at (x, y) minus z of the lowest point. It is not the travel from first touch: a wide
+        object off the axis touches earlier, nearer to the apex. Negative values are above the skin.
     rotation_deg : float
-        About its own z axis, from x towards y.
+        Rotation about the object's z axis, from x towards y.
     scale : float
-        Enlarges the shape about its lowest point.
+        Enlargement of the shape about its lowest point.
     tilt_x_deg, tilt_y_deg : float
-        About the sensor's x, then its y, through the origin.
+        Tilt about the sensor's x axis, then its y axis, through the origin.
     drag_x_mm, drag_y_mm : float
-        How far it was moved after it had touched.
+        How far the object moved after it touched.
     twist_deg : float
-        How far it was turned about z through (x, y) after it had touched, from x towards y.
+        How far the object turned about z through (x, y) after it touched, from x towards y.
     """
 
     shape: Shape
@@ -50,7 +50,7 @@ class Press:
     twist_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not a number."""
+        """Raise ValueError for values that are not finite, or a scale of 0 or less."""
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, int | float) and not math.isfinite(value):
@@ -59,7 +59,7 @@ class Press:
             raise ValueError(f"scale is {self.scale}, expected a positive number")
 
     def lowest_z_mm(self, skin_radius_mm: float) -> float:
-        """Find z of the lowest point in the sensor frame. Raises ValueError when (x, y) is not over the skin."""
+        """The z of the lowest point in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
         beside = skin_radius_mm**2 - self.x_mm**2 - self.y_mm**2
         if beside <= 0:
             raise ValueError(
@@ -69,23 +69,23 @@ class Press:
 
     @property
     def is_tilted(self) -> bool:
-        """Whether its own z axis is not the sensor's."""
+        """Whether the object's z axis differs from the sensor's."""
         return bool(self.tilt_x_deg or self.tilt_y_deg)
 
     @property
     def is_dragged(self) -> bool:
-        """Whether it was moved along the skin after it had touched."""
+        """Whether the object moved along the skin after it touched."""
         return bool(self.drag_x_mm or self.drag_y_mm or self.twist_deg)
 
     def tilt(self) -> F64:
-        """Rotation (3, 3) about x, then y."""
+        """Rotation matrix (3, 3) of the tilt about x, then y."""
         b, c = math.radians(self.tilt_x_deg), math.radians(self.tilt_y_deg)
         about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
         about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
         return np.asarray(about_y @ about_x)
 
     def distance_mm(self, skin_radius_mm: float, points_mm: F64) -> F64:
-        """Signed distance (N,) of points (N, 3) in the sensor frame; of their dtype."""
+        """Signed distance (N,) in mm of points (N, 3) in the sensor frame; of their dtype."""
         a = math.radians(self.rotation_deg)
         c, s = math.cos(a) / self.scale, math.sin(a) / self.scale
         x, y = points_mm[:, 0] - self.x_mm, points_mm[:, 1] - self.y_mm
@@ -95,14 +95,14 @@ class Press:
         return self.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z / self.scale), axis=1)) * self.scale
 
     def origin_z_mm(self, skin_radius_mm: float) -> float:
-        """Find z of its origin in the sensor frame. Raises ValueError when (x, y) is not over the skin."""
+        """The z of the object's origin in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
         lowest = self.lowest_z_mm(skin_radius_mm)
         if not self.is_tilted:
             return lowest
         return lowest - self.scale * _lowest_mm(self.shape, self.rotation_deg, self.tilt_x_deg, self.tilt_y_deg)
 
     def before_drag(self, x_y_mm: F64) -> F64:
-        """Where its points (..., 2), now at x and y, were when it touched; mm."""
+        """Positions (..., 2) in mm, when the object touched, of its points that are now at `x_y_mm`."""
         a = math.radians(self.twist_deg)
         back = np.array(((math.cos(a), -math.sin(a)), (math.sin(a), math.cos(a))))  # its transpose turns forward
         origin = np.array((self.x_mm, self.y_mm))
@@ -111,7 +111,7 @@ class Press:
 
 @functools.lru_cache(maxsize=256)
 def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
-    """Find z of a tilted shape's lowest point over its origin; within 2 µm on what is 40 mm wide or less."""
+    """The z in mm of a tilted shape's lowest point over its origin; within 2 µm for shapes up to 40 mm wide."""
     upright = Press(shape, rotation_deg=rotation_deg)
     tilt = Press(shape, tilt_x_deg=tilt_x_deg, tilt_y_deg=tilt_y_deg).tilt()
     up = np.array((0.0, 0.0, upright.lowest_z_mm(100.0)))
@@ -121,7 +121,7 @@ def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg:
         x, y = (v.ravel() + c for v, c in zip(np.meshgrid(axis, axis), centre, strict=True))
         z = np.full(x.shape, -60.0)
         for _ in range(80):
-            low = z < float(z.min()) + half  # only what may still be the lowest
+            low = z < float(z.min()) + half  # only points that may still be the lowest
             d = upright.distance_mm(100.0, np.stack((x[low], y[low], z[low]), axis=1) @ tilt + up)
             z[low] += np.maximum(d, 0)
             if float(d.max()) < 1e-4:
@@ -133,7 +133,7 @@ def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg:
 
 
 def distances_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
-    """Signed distance to each pressed object.
+    """Signed distances to each pressed object.
 
     Parameters
     ----------
@@ -146,11 +146,11 @@ def distances_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64
     Returns
     -------
     float (presses, N)
-        mm, negative inside; of the points' dtype.
+        Distances in mm, negative inside; of the points' dtype.
     """
     return np.stack([press.distance_mm(skin_radius_mm, points_mm) for press in presses])
 
 
 def distance_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
-    """Signed distance to the nearest pressed object: the least of `distances_mm`."""
+    """Signed distance (N,) in mm to the nearest pressed object: the least of `distances_mm`."""
     return np.asarray(distances_mm(presses, skin_radius_mm, points_mm).min(axis=0))

@@ -1,7 +1,7 @@
-"""From a skin to an image: pins and markers through the camera, then light, blur, surround, noise.
+"""Render a skin to an image: pins and markers through the camera, then light, blur, surround, noise.
 
-The skin does not hide what lies behind its own steep folds; at visible half angles up to 55° and folds below 70° to
-the sphere there is nothing to hide.
+The renderer does not hide skin behind its own steep folds; at visible half angles up to 55° and folds below 70° to
+the sphere, nothing is hidden.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Print:
     marker_chart_mm : float (M, corners, 2)
         Outlines of the markers in the skin's chart; they are on the skin and deform with it.
     pin_chart_mm : float (P, 2)
-        Where the pins stand, in the skin's chart.
+        Positions of the pins in the skin's chart.
     pin_base_mm, pin_tip_mm, pin_length_mm : float (P,)
     """
 
@@ -45,7 +45,7 @@ class Print:
 
 
 def print_features(model: SensorModel) -> Print:
-    """Lay the hexagonal lattice on the sphere (equal-area chart), with the model's print tolerances."""
+    """Lay the hexagonal lattice on the sphere (equal-area chart) with the model's print tolerances."""
     rng = np.random.default_rng((model.print_seed, 1))
     r, p = model.skin_radius_mm, model.pitch_mm
     reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
@@ -98,7 +98,7 @@ def project(geometry: Geometry, points_mm: F64) -> F64:
 
 
 class Renderer:
-    """Draws one sensor's frames; what does not change with the skin is prepared once."""
+    """Draws one sensor's frames; everything that does not depend on the skin is prepared once."""
 
     def __init__(self, model: SensorModel) -> None:
         self.model = model
@@ -127,7 +127,7 @@ class Renderer:
         model = self.model
         rng = np.random.default_rng((noise_seed, 3))
         variance = model.read_noise_grey**2 + np.maximum(image, 0) * (model.shot_noise_grey**2 / 255)
-        # One draw for the three channels: demosaicking leaves them nearly the same noise.
+        # One draw for the three channels, because demosaicking leaves nearly the same noise in each.
         grey = image + np.sqrt(variance) * rng.standard_normal(image.shape, np.float32)
         level = np.clip(grey + 0.5, 0, 255).astype(np.uint8)
         ramp = np.arange(256)[None, :, None] * np.array(model.colour_bgr)
@@ -158,7 +158,7 @@ class Renderer:
 
 
 def _pin_corners(skin: Skin, smooth: Skin, marks: Print, model: SensorModel) -> tuple[F64, F64]:
-    """Corners of the base and of the tip of every pin, each (P, corners, 3) mm."""
+    """Corners of the base and the tip of every pin, each (P, corners, 3) in mm."""
     direction, chart = _carried(smooth, marks.pin_chart_mm, model.friction)
     base = _on_skin(skin, direction, chart)
     normal = _outward_normals(smooth, chart)
@@ -176,11 +176,11 @@ def _pin_corners(skin: Skin, smooth: Skin, marks: Print, model: SensorModel) -> 
 
 
 def _carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-    """Where the deformation carries material points: their new directions (..., 3) and chart coordinates (..., 2)."""
+    """New directions (..., 3) and chart coordinates (..., 2) of material points that the deformation moves."""
     direction, now = skin.carried_inwards(chart_mm, friction)
     if skin.origin_mm is None:
         return direction, now
-    for _ in range(_DRAG_STEPS):  # a contraction: `drag` lets no skin fold
+    for _ in range(_DRAG_STEPS):  # a contraction, because `drag` lets no skin fold
         before = now
         direction, now = skin.carried_inwards(chart_mm - skin.sample_origin(now[..., 0], now[..., 1]), friction)
         if np.abs(now - before).max(initial=0) < _DRAG_TOLERANCE_MM:
@@ -194,13 +194,13 @@ def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
 
 
 def _smoothed(skin: Skin, patch_mm: float) -> Skin:
-    """The skin with h averaged over a patch of the given radius: what a stiff printed feature feels."""
+    """The skin as a stiff printed feature senses it, with h averaged over a patch of the given radius."""
     side = 2 * max(1, round(patch_mm / skin.step_mm)) + 1
     return replace(skin, height_mm=np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32))
 
 
 def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
-    """Unit normals (P, 3) of a skin that is smooth over several grid steps."""
+    """Outward unit normals (P, 3) of a skin that is smooth over several grid steps."""
     x, y, e = chart_mm[:, 0], chart_mm[:, 1], flat.step_mm
     h_x = (flat.sample(x + e, y) - flat.sample(x - e, y)) / (2 * e)
     h_y = (flat.sample(x, y + e) - flat.sample(x, y - e)) / (2 * e)
@@ -217,7 +217,7 @@ def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
 
 
 def _equal_area_to_direction(points: F64, radius: float) -> F64:
-    """Lambert's equal-area chart to unit vectors: the lattice keeps its density all over the sphere."""
+    """Convert Lambert's equal-area chart to unit vectors; the lattice keeps its density all over the sphere."""
     x, y = points[..., 0] / radius, points[..., 1] / radius
     s = x * x + y * y
     k = np.sqrt(np.maximum(1 - s / 4, 0))
@@ -225,7 +225,7 @@ def _equal_area_to_direction(points: F64, radius: float) -> F64:
 
 
 def _tangents(normal: F64) -> tuple[F64, F64]:
-    """Two unit vectors (P, 3) across each unit normal."""
+    """Two unit vectors (P, 3) perpendicular to each unit normal."""
     helper = np.where(np.abs(normal[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     first = np.cross(normal, helper)
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
@@ -233,14 +233,14 @@ def _tangents(normal: F64) -> tuple[F64, F64]:
 
 
 def _to_canvas(points: F64) -> np.typing.NDArray[np.int32]:
-    """Image coordinates to the supersampled canvas, in fixed point."""
+    """Convert image coordinates to the supersampled canvas, in fixed point."""
     s = _SUPERSAMPLING
     scaled = (points * s + (s - 1) / 2) * (1 << _SHIFT)
     return np.clip(np.rint(scaled), -(2**24), 2**24).astype(np.int32)
 
 
 def _surround(model: SensorModel, rho: F32, angle: F32) -> F32:
-    """Grey levels outside the visible circle: the housing, and an LED ring when it is bright."""
+    """Grey levels outside the visible circle: the housing, plus an LED ring if the surround is bright."""
     if model.surround == "dark":
         return np.full(rho.shape, 10.0, np.float32)
     housing = 70 + 25 * np.cos(angle * 3 + model.print_seed)

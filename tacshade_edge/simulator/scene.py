@@ -1,4 +1,4 @@
-"""A simulated sensor and what is pressed on it: presses in, frames with ground truth out."""
+"""A simulated sensor: presses in, frames with ground truth out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tacshade_edge.types import F32, F64, U8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """An image and all that made it.
+    """An image with its presses, skin and model.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class SimulatedFrame:
         return measure(self.skin, self.presses, self.model.geometry, shape)
 
     def shear_mm(self, row: F64, col: F64) -> F64:
-        """Shear (N, 2) of the material that the rays of pixels inside the disc meet: x, y in mm."""
+        """Shear (N, 2), x and y in mm, of the material that the rays of pixels inside the disc meet."""
         return shear_mm(self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction)
 
 
 class SimulatedSensor:
-    """One sensor. The same presses and the same noise seed give the same frame, bit for bit."""
+    """A simulated sensor. The same presses and the same noise seed give the same frame, bit for bit."""
 
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
@@ -52,12 +52,12 @@ class SimulatedSensor:
         self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture; several presses at once are one union.
+        """Take a picture under presses; several at once act as their union.
 
         Raises
         ------
         ValueError
-            When a press is not over the skin, or reaches the middle of the sensor.
+            A press is not over the skin, or reaches the middle of the sensor.
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
@@ -66,7 +66,7 @@ class SimulatedSensor:
         return SimulatedFrame(self.picture(skin, noise_seed), key, skin, self.model)
 
     def skin(self, presses: Sequence[Press] = ()) -> Skin:
-        """Shape the skin without a picture. Raises ValueError as `frame`."""
+        """Shape the skin without taking a picture. Raises ValueError as `frame` does."""
         return skin_under(self.model, presses)
 
     def picture(self, skin: Skin, noise_seed: int = 0) -> U8:
@@ -84,12 +84,12 @@ def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None =
     model : SensorModel
     presses : sequence of Press
     rest : Skin, optional
-        Its shape where nothing touches it, of a skin that crept.
+        The unloaded skin after creep.
 
     Raises
     ------
     ValueError
-        As `SimulatedSensor.frame`.
+        As in `SimulatedSensor.frame`.
     """
     rest_mm = None if rest is None else rest.pressed_mm
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 
-_DRAG_STEPS = 3  # a new place costs several frames' time to draw, and a held one nothing
+_DRAG_STEPS = 3  # drawing a new position takes as long as several frames, a held one costs nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Drag:
-    """How an object is moved along the skin while it is held: `Press.drag_x_mm` and so on."""
+    """The motion of an object along the skin while it is held: `Press.drag_x_mm` and so on."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
@@ -23,17 +23,17 @@ class Drag:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """Each press in turn: approach, hold, release, and a pause without contact; then from the first again.
+    """A sequence of presses, each a pause without contact, approach, hold and release; repeats after the last.
 
     Attributes
     ----------
     presses : tuple of Press
-        At their greatest depth, where they touch.
+        The presses at their greatest depth, before the drag.
     approach, hold, release, pause : int
-        Frames of each phase.
+        Number of frames of each phase.
     drags : tuple of Drag
-        In turn with the presses, again from the first after the last: made in few steps over the middle half of the
-        hold, and kept through the release, which has as few then. Empty: nothing is dragged.
+        One drag per press, cyclically: made in few steps over the middle half of the hold and kept through the release,
+        which then has equally few steps. If empty, nothing is dragged.
     """
 
     presses: tuple[Press, ...]
@@ -44,13 +44,13 @@ class Script:
     drags: tuple[Drag, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse an empty script."""
+        """Raise ValueError for an empty script."""
         if not self.presses or min(self.approach, self.hold, self.release, self.pause) < 1:
             raise ValueError("a script needs a press, and a frame or more in every phase")
 
     @property
     def period(self) -> int:
-        """Frames until the script begins again."""
+        """Number of frames until the script repeats."""
         return len(self.presses) * self._turn
 
     @property
@@ -95,9 +95,9 @@ def _moved(press: Press, drag: Drag, part: float) -> Press:
 
 
 def demonstration(depth_mm: float = 3.0, objects: Sequence[str] = ()) -> Script:
-    """The hand of the demo: the named objects (all of them by default), each a little elsewhere and turned.
+    """The script of the demo: the named objects (by default all), each shifted and turned a little.
 
-    Of five in turn, one is dragged, one so far that it slips altogether, and one dragged and twisted.
+    Of every five, one is dragged, one is dragged so far that it slips fully, and one is dragged and twisted.
     """
     places = ((0.0, 0.0), (3.0, -2.0), (-4.0, 1.0), (1.0, 4.0), (-2.0, -3.0))
     drags = (Drag(), Drag(-2.5, 0.5), Drag(), Drag(-5.0, -4.0), Drag(2.0, 1.0, 10.0))

@@ -2,8 +2,8 @@
 
 The skin is a membrane on an elastic foundation (the gel). Its inward displacement h along the radius minimises
 ∫ λ²|∇h|² + h² over the sphere, subject to h >= 0 and to the skin staying outside the objects. λ is the length over
-which the skirt around a contact decays. The grid lies in the stereographic chart, centred on the apex: the chart is
-conformal, so the Dirichlet term is that of the plane and only the mass term takes the factor (1 + ρ²/4)^-2.
+which the skirt around a contact decays. The grid lies in the stereographic chart, centred on the apex. The chart is
+conformal: the Dirichlet term is that of the plane, and only the mass term takes the factor (1 + ρ²/4)^-2.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GRID_STEPS_PER_RADIUS = 80
 """The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
 
 _TRACE_TOLERANCE_MM = 1e-4
-_TRACE_STEPS = 400  # a ray that runs along a wall needs many; few rays do
+_TRACE_STEPS = 400  # the few rays that run along a wall need many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,18 +42,17 @@ class Skin:
     obstacle_mm : float32 (2n+1, 2n+1)
         The least `pressed_mm` that keeps the skin outside the objects; 0 where the node's ray meets none.
     leaning_mm : float32 (2n+1, 2n+1) or None
-        Part of h that the leaning dome makes, below 0 where it moves outwards.
+        Part of h due to the leaning dome, negative where it moves outwards.
     origin_mm : float32 (2n+1, 2n+1, 2) or None
-        Chart coordinates of the material that is at a node now, less those that it had without drag and sway.
+        Chart coordinates without drag and sway of the material now at a node, minus the node's own.
     stuck : tuple of float
-        Of each press that dragged it: part of its contact in which the skin goes with it.
+        For each press, if one drags: the part of its contact in which the skin moves with it.
     slid_mm : tuple of (float, float)
-        Of each press that dragged it: how far it has gone ahead of the skin that it touches, along x and y, in the
-        mean over its contact.
+        For each press, if one drags: how far along x and y it has moved ahead of the skin in contact, on average.
     loads : tuple of Load
-        Of each press, where one of them dragged it (`drag.loads_of` has them otherwise).
+        Load of each press, if one drags (`drag.loads_of` computes them otherwise).
     rest_mm : float32 (2n+1, 2n+1) or None
-        Part of `pressed_mm` that nothing holds, of a skin that creeps.
+        Part of `pressed_mm` that remains without load, for a skin that creeps.
     """
 
     radius_mm: float
@@ -72,18 +71,18 @@ class Skin:
         return bilinear(self.height_mm, x / self.step_mm, y / self.step_mm)
 
     def leaning(self, leaning_mm: F32 | None) -> Skin:
-        """The same skin on a dome that leans: what was h is added to that of the lean."""
+        """The same skin on a leaning dome: adds `leaning_mm` to h."""
         if leaning_mm is None:
             return self
         return replace(self, height_mm=self.height_mm + leaning_mm, leaning_mm=leaning_mm)
 
     @property
     def pressed_mm(self) -> F32:
-        """The part of h that objects make, without the dome's lean, float32 (2n+1, 2n+1)."""
+        """The part of h due to objects, without the dome's lean, in mm, float32 (2n+1, 2n+1)."""
         return self.height_mm if self.leaning_mm is None else self.height_mm - self.leaning_mm
 
     def sample_pressed(self, x: F64, y: F64) -> F64:
-        """As `sample`, of h without the dome's lean."""
+        """Sample h without the dome's lean, as `sample` does."""
         height = self.sample(x, y)
         if self.leaning_mm is None:
             return height
@@ -98,10 +97,10 @@ class Skin:
         )
 
     def carried_inwards(self, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-        """Where objects that come along -z carry material points: directions (..., 3), chart coordinates (..., 2).
+        """New directions (..., 3) and chart coordinates (..., 2) of material points under objects moving along -z.
 
-        Skin that sticks to an object (`friction` 1) goes along; skin that slides without friction moves along its
-        normal. To first order in h the first is a displacement by h / cosθ along -z, the second by h along the radius.
+        Skin that sticks to an object (`friction` 1) moves with it; skin that slides without friction moves along its
+        normal. To first order in h, the first is a displacement by h / cosθ along -z, the second by h along the radius.
         """
         direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
         height = self.sample_pressed(chart_mm[..., 0], chart_mm[..., 1])
@@ -112,7 +111,7 @@ class Skin:
 
 
 def undeformed(radius_mm: float) -> Skin:
-    """The skin without a press."""
+    """The undeformed skin."""
     n, step = _grid(radius_mm)
     zero = np.zeros((2 * n + 1, 2 * n + 1), np.float32)
     return Skin(radius_mm, step, zero, zero)
@@ -132,14 +131,14 @@ def press_skin(
     radius_mm, decay_mm : float
     presses : sequence of Press
     leaning_mm : float32 (2n+1, 2n+1), optional
-        `Skin.leaning_mm` of a dome that leans.
+        `Skin.leaning_mm` of a leaning dome.
     rest_mm : float32 (2n+1, 2n+1), optional
-        `Skin.rest_mm` of a skin that crept: its shape where nothing touches.
+        `Skin.rest_mm` after creep: the shape of the unloaded skin.
 
     Raises
     ------
     ValueError
-        When an object would reach the middle of the sensor, or is not over the skin.
+        An object would reach the middle of the sensor, or is not over the skin.
     """
     flat = undeformed(radius_mm)
     free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
@@ -159,7 +158,7 @@ def press_skin(
 
 
 def net_pull(skin: Skin, decay_mm: float) -> F32:
-    """What the skin's nodes press on: (4 + m) h less the sum of the neighbours, 0 on the border; mm."""
+    """The pressure of the skin's nodes, in mm: (4 + m) h minus the sum of the neighbours; 0 on the border."""
     h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm
     mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32((skin.step_mm / decay_mm) ** 2)
     pull = np.zeros_like(h)
@@ -169,14 +168,14 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
 
 
 def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
-    """Chart coordinates in mm to unit vectors from O, (..., 3)."""
+    """Convert chart coordinates in mm to unit vectors from O, (..., 3)."""
     u, v = x / radius_mm, y / radius_mm
     q = (u * u + v * v) / 4
     return np.stack((u, v, 1 - q), axis=-1) / (1 + q)[..., None]
 
 
 def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
-    """Vectors from O (any length, not along -z) to chart coordinates in mm."""
+    """Convert vectors from O (any length, not along -z) to chart coordinates in mm."""
     k = 2 * radius_mm / (np.linalg.norm(direction, axis=-1) + direction[..., 2])
     return direction[..., 0] * k, direction[..., 1] * k
 
@@ -187,7 +186,7 @@ def _grid(radius_mm: float) -> tuple[int, float]:
 
 
 def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
-    """The chart's factor of the mass term; so large beyond the rim that the skin cannot move there."""
+    """The chart's factor on the mass term; beyond the rim it is so large that the skin cannot move."""
     axis = (np.arange(-n, n + 1) * (step_mm / radius_mm)) ** 2 / 4
     q = axis[:, None] + axis[None, :]
     clamped = q > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
@@ -195,7 +194,7 @@ def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
 
 
 def node_directions(radius_mm: float) -> F64:
-    """Unit vectors of the grid's nodes, (2n+1, 2n+1, 3); single precision serves."""
+    """Unit vectors of the grid's nodes, (2n+1, 2n+1, 3), in single precision."""
     n, step_mm = _grid(radius_mm)
     axis = np.arange(-n, n + 1, dtype=np.float32) * np.float32(step_mm)
     x, y = np.meshgrid(axis, axis)
@@ -203,7 +202,7 @@ def node_directions(radius_mm: float) -> F64:
 
 
 def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> F32:
-    """Take the skin's distance from O less that at which each node's ray enters an object; 0 where it does not."""
+    """The skin's distance from O minus the distance at which each node's ray enters an object; 0 if it enters none."""
     rays = node_directions(radius_mm)
     surface = np.full(rays.shape[:2], radius_mm, np.float32)
     if leaning_mm is not None:

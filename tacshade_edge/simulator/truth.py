@@ -1,4 +1,4 @@
-"""Ground truth: what a perfect reconstruction of a simulated frame would give."""
+"""Ground truth: the result of a perfect reconstruction of a simulated frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_
 from tacshade_edge.types import F32, F64, Bool, Geometry
 
 CONTACT_TOLERANCE_MM = 0.02
-"""Skin nearer to the object than this touches it; its elastic skirt does not."""
+"""Skin within this distance of the object touches it; the elastic skirt does not."""
 
 _MARCH_STEPS = 16
 _REFINE_STEPS = 8
@@ -22,16 +22,16 @@ _INVERSE_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True values on the pixels of the image.
+    """True values at the pixels of the image.
 
     Attributes
     ----------
     height_mm : float32 (H, W)
         h, positive inwards, of the deformed skin point that the pixel's ray meets first; NaN outside the disc.
     contact : bool (H, W)
-        Where that point lies within 0.02 mm of an object's surface.
+        Whether that point lies within 0.02 mm of an object's surface.
     points_mm : float32 (N, 3)
-        Those points, in the order of the pixels of `contact`, sensor frame.
+        The points in contact, in the sensor frame, in the order of the pixels of `contact`.
     object_points_mm : float32 (M, 3)
         The objects' surfaces inside the undeformed skin, as seen from O (touched by the skin or not).
     depth_max_mm : float
@@ -46,13 +46,13 @@ class Truth:
 
 
 def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]) -> Truth:
-    """Compare the skin with every pixel's ray.
+    """Intersect every pixel's ray with the skin.
 
     Parameters
     ----------
     skin : Skin
     presses : sequence of Press
-        Those that shaped the skin.
+        The presses that shaped the skin.
     geometry : Geometry
     shape : (int, int)
         Height and width of the image in px.
@@ -68,7 +68,7 @@ def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tup
     h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
     h[h < 1e-6] = 0
     height[inside] = h
-    # A dome that leans may be touched where it bulges outwards.
+    # An object may touch a leaning dome where it bulges outwards.
     touching = np.ones(len(h), bool) if skin.leaning_mm is not None else h > 0
     touching[touching] = (
         np.abs(distance_mm(presses, skin.radius_mm, points[touching])) <= CONTACT_TOLERANCE_MM
@@ -80,7 +80,7 @@ def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tup
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
-    """Where the rays of pixels first meet the deformed skin, seen from the camera: (N, 3) mm.
+    """The points where the pixels' rays from the camera first meet the deformed skin: (N, 3) mm.
 
     A ray that misses the sphere gets its point nearest to O.
     """
@@ -97,7 +97,7 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
         return np.asarray(np.linalg.norm(p, axis=1) - r + skin.sample(*direction_to_chart(p, r)))
 
     low, high = root(r - float(skin.height_mm.max())), root(r - min(float(skin.height_mm.min()), 0))
-    # Most of the skin is undeformed, or deformed so gently that there is one crossing; march all the same.
+    # Most rays cross the skin once, where it is undeformed or gently deformed; march nevertheless.
     everything = slice(None)
     start, step = low.copy(), (high - low) / _MARCH_STEPS
     f_low = outside(low, everything)
@@ -124,24 +124,24 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
 
 
 def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
-    """Shear along x and y, from every cause, of the material that is at points of a deformed skin.
+    """Shear along x and y, from every cause, of the material at points of a deformed skin.
 
     Parameters
     ----------
     skin : Skin
     points_mm : float64 (N, 3)
-        Of the skin (`skin_points`).
+        Points of the skin (`skin_points`).
     friction : float
         `SensorModel.friction`.
 
     Returns
     -------
     float64 (N, 2)
-        x, y now less x, y in the undeformed skin.
+        Present x, y minus x, y in the undeformed skin, in mm.
     """
     now = np.stack(direction_to_chart(points_mm, skin.radius_mm), axis=-1)
     before = now.copy()
-    for _ in range(_INVERSE_STEPS):  # undo what came along -z, by a fixed point
+    for _ in range(_INVERSE_STEPS):  # undo the motion along -z by fixed-point iteration
         off = now - skin.carried_inwards(before, friction)[1]
         before += off
         if np.abs(off).max(initial=0) < _INVERSE_TOLERANCE_MM:
@@ -152,7 +152,7 @@ def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
 
 
 def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
-    """Origins and unit directions of pixels' rays, each (N, 3): the pinhole or the orthographic camera."""
+    """Origins in mm and unit directions of the pixels' rays, each (N, 3), for the pinhole or orthographic camera."""
     u, v = col - geometry.disc.col_c, row - geometry.disc.row_c
     zero = np.zeros_like(u)
     if geometry.camera_distance_mm is None:

@@ -1,4 +1,4 @@
-"""Images with their truth: presses of simulated sensors, and frames without contact."""
+"""Images with ground truth: presses of simulated sensors, and frames without contact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tacshade_edge.types import U8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """An image (uint8, H x W or H x W x 3) and what is known of it."""
+    """An image (uint8, H x W or H x W x 3) with its label and ground truth."""
 
     label: Label
     truth: KnownTruth
@@ -40,20 +40,20 @@ def _calibrated(task: tuple[SensorName, int, int]) -> CalibrationResult:
 
 
 def press_label(name: SensorName, scene: Scene) -> Label:
-    """What a row says of a simulated press."""
+    """The label of a simulated press."""
     press = scene.press
     return Label(str(name), scene.object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
 
 
 def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]) -> Iterator[Case]:
-    """Take a picture of each scene."""
+    """Yield a picture of each scene with its ground truth."""
     for scene in scenes:
         frame = sensor.frame((scene.press,), scene.noise_seed)
         yield Case(press_label(name, scene), KnownTruth.of(frame.truth()), frame.image)
 
 
 def null_cases(name: SensorName, sensor: PressedSensor, count: int) -> Iterator[Case]:
-    """Take pictures of the untouched skin (`null_images`)."""
+    """Yield pictures of the untouched skin (`null_images`)."""
     nothing = KnownTruth(NOTHING, 0.0, None)
     for what, image in null_images(sensor, count):
         yield Case(Label(str(name), "none", what), nothing, image)

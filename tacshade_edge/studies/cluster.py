@@ -1,4 +1,4 @@
-"""Jobs on a Dask cluster (the extra `cluster`): what `parallel.workers` yields for an address."""
+"""Run jobs on a Dask cluster (the extra `cluster`), which `parallel.workers` yields for an address."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0
-"""So long a scheduler may take to answer, and to have its first worker."""
+"""Longest wait in s for a scheduler's answer, and for its first worker."""
 AHEAD = 4
-"""Jobs that are under way for each thread: the scheduler holds all that it knows, and some carry a sensor's images."""
+"""Jobs in flight per thread: the scheduler holds all submitted jobs in memory, and some carry a sensor's images."""
 DECIDES = ("dask", "distributed", "numpy", "scipy", "opencv-contrib-python-headless", "onnxruntime")
-"""Packages that the cluster must have in our versions, for the same results bit by bit."""
+"""Packages that the cluster must have in our versions for bit-identical results."""
 
 
 class Cluster:
@@ -47,9 +47,9 @@ class Cluster:
         Raises
         ------
         ConfigError
-            Scheduler or worker runs another program.
+            The scheduler or a worker runs a different program.
         DeviceError
-            The scheduler or every worker is lost, or a job's workers died one after the other.
+            The scheduler or every worker is lost, or a job's workers died one after another.
         """
         from distributed import KilledWorker
 
@@ -76,7 +76,7 @@ class Cluster:
                 job.cancel()
 
     def _result(self, job: Any) -> Any:
-        """Wait, as long as there is a worker, or one comes back."""
+        """Wait for a result while there is a worker, or until one returns. Raises DeviceError if none does."""
         while True:
             try:
                 return job.result(timeout=CONNECT_S)
@@ -93,7 +93,7 @@ def connected(address: str) -> Iterator[Cluster]:
     Raises
     ------
     ConfigError
-        The extra is not installed, the address is none, or the cluster runs other versions.
+        The extra is not installed, the address is not valid, or the cluster runs other versions.
     DeviceError
         No scheduler answers, or it has no worker.
     """
@@ -110,12 +110,12 @@ def connected(address: str) -> Iterator[Cluster]:
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # refused below, in one line
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # `_check_versions` reports it in one line
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except ValueError as error:
         raise ConfigError(f"--cluster: found {address!r}, expected tcp://HOST:8786 ({error})") from None
     except OSError:
-        raise DeviceError(f"cluster {address}: no Dask scheduler answers within {CONNECT_S:g} s") from None
+        raise DeviceError(f"cluster {address}: no Dask scheduler answered within {CONNECT_S:g} s") from None
     with client:
         _await_worker(client, address)
         _check_versions(client.get_versions(packages=DECIDES), address)
@@ -123,7 +123,7 @@ def connected(address: str) -> Iterator[Cluster]:
 
 
 def _await_worker(client: Any, address: str) -> None:
-    """Raise DeviceError where none comes."""
+    """Wait for a worker. Raises DeviceError if none appears in time."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError:
@@ -131,7 +131,7 @@ def _await_worker(client: Any, address: str) -> None:
 
 
 def _check_versions(found: Mapping[str, Any], address: str) -> None:
-    """Refuse a cluster with other packages than ours. Raises ConfigError."""
+    """Compare the cluster's packages with ours. Raises ConfigError if they differ."""
     ours = found["client"]["packages"]
     for place, other in {"scheduler": found["scheduler"], **found["workers"]}.items():
         for name in ("python", *DECIDES):
@@ -140,7 +140,7 @@ def _check_versions(found: Mapping[str, Any], address: str) -> None:
 
 
 def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) -> Result:
-    """Run a job on a worker. Raises ConfigError where its program is not the caller's."""
+    """Run a job on a worker. Raises ConfigError if its program differs from the caller's."""
     for name, crc32 in program.items():
         if checksum(name) != crc32:
             raise ConfigError(

@@ -11,20 +11,19 @@ from tacshade_edge.types import F32, Bool
 
 @dataclass(frozen=True, slots=True)
 class CloudScore:
-    """How near a reconstructed cloud is to the true one.
+    """The agreement of a reconstructed cloud with the true one.
 
     Attributes
     ----------
     me_mm : float
-        Eq. 13, the mean distance from reconstructed points to the nearest true point; NaN for an empty cloud,
-        which has failed.
+        Eq. 13, the mean distance from reconstructed points to the nearest true point; NaN for an empty cloud, which is
+        a failure.
     sd : float
-        Eq. 14 with d_CD the half sum of the two mean distances (unsquared); never clamped below 0; 0 for an
-        empty cloud.
+        Eq. 14 with d_CD as half the sum of the two mean distances (unsquared); not clamped at 0; 0 for an empty cloud.
     sd_sum : float
-        The same with the sum.
+        Eq. 14 with d_CD as the whole sum.
     forward_mm, backward_mm : float
-        Reconstructed to true, and true to reconstructed.
+        Mean distances from reconstructed to true points, and from true to reconstructed ones.
     points, true_points : int
     """
 
@@ -38,7 +37,7 @@ class CloudScore:
 
 
 def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudScore:
-    """ME and SD of a cloud.
+    """Compute ME and SD of a cloud.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from tacshade_edge.errors import DeviceError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Report = Callable[[str, int, int], None]
-"""Called with what is counted, how many are done, and of how many."""
+"""A progress callback: receives the name of the counted items, the number done, and the total."""
 
 
 def usable_cores() -> int:
@@ -29,14 +29,14 @@ def usable_cores() -> int:
 
 
 class Workers(Protocol):
-    """What runs jobs: an executor of ``concurrent.futures``, of which nothing but its ``map`` is used."""
+    """An executor of ``concurrent.futures``; only its ``map`` is used."""
 
     def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
         """Yield ``fn(task)`` of every task, in their order."""
 
 
 class ThisProcess:
-    """Runs each job when its result is asked for, in this process."""
+    """Runs each job in this process when its result is requested."""
 
     def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
         """Yield ``fn(task)`` of every task."""
@@ -45,15 +45,15 @@ class ThisProcess:
 
 @contextlib.contextmanager
 def workers(cluster: str | None = None) -> Iterator[Workers]:
-    """Start what runs jobs: a process for each core, or, with an address, the workers of a Dask cluster.
+    """Start workers: a process for each core, or, given an address, the workers of a Dask cluster.
 
-    Jobs are functions of a module, so that another process finds them; ``map`` yields results in the order of the
-    tasks, whatever ran them. They are the same bit by bit on processors of the same kind.
+    Jobs are module-level functions, so that another process finds them; ``map`` yields results in the order of the
+    tasks, wherever they run. Results are bit-identical on processors of the same kind.
 
     Parameters
     ----------
     cluster : str or None
-        The scheduler's address, ``tcp://scheduler:8786``.
+        The scheduler's address, such as ``tcp://scheduler:8786``.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
     Parameters
     ----------
     fresh : bool
-        Each job in a new process.
+        Whether each job gets a new process.
 
     Raises
     ------
@@ -98,18 +98,18 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
     except BrokenProcessPool:
         raise DeviceError("a worker process was killed (out of memory?)") from None
     finally:
-        if not complete:  # nobody wants what they are at
+        if not complete:  # nobody needs the unfinished jobs
             for worker in multiprocessing.active_children():
                 if worker not in before:
                     worker.terminate()
-        # Waits: the pool's semaphores would outlive a process that ends before its pool has.
+        # Wait: the pool's semaphores would outlive a process that ends before its pool does.
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def reported_map(
     function: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, report: Report, what: str
 ) -> Iterator[Result]:
-    """``workers.map`` that reports how far it is."""
+    """Yield the results of ``workers.map`` and report progress."""
     report(what, 0, len(tasks))
     for k, result in enumerate(workers.map(function, tasks), 1):
         report(what, k, len(tasks))
@@ -117,7 +117,7 @@ def reported_map(
 
 
 def _start() -> None:
-    """One thread for each process; and none outlives the command, however that ends."""
+    """Limit a worker to one thread, and end it with the command, however that ends."""
     cv2.setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()

@@ -1,4 +1,4 @@
-"""The paper's depth without eq. 11: what its iterations start from, to show what they buy."""
+"""The paper's depth without eq. 11, the starting point of its iterations, to show how much they improve."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ from tacshade_edge.core.image.grey_maps import GreyMaps
 
 
 def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """α g_hn, in place of `hybrid_sfs.hybrid_depth`."""
+    """The depth α g_hn, in place of `hybrid_sfs.hybrid_depth`."""
     g_hn, bad = finite_shape_grey(maps)
     return scaled(g_hn.astype(np.float64), alpha_mm, bad)

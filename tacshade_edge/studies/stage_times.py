@@ -1,4 +1,4 @@
-"""What the stages of a step take, on one thread."""
+"""Measure the time of a step's stages on one thread."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import Frame
 
 work_ns = time.thread_time_ns
-"""Processor time of this thread. With nothing beside it and one thread it is the time that passes."""
+"""Processor time of this thread in ns: on an otherwise idle machine, the elapsed time."""
 
 
 @contextmanager
@@ -29,12 +29,12 @@ def one_thread() -> Iterator[None]:
 def stages_ms(
     made: Reconstructor, frame: Frame, clock_ns: Callable[[], int] = time.perf_counter_ns
 ) -> dict[str, float]:
-    """Run one step; milliseconds of each stage that was run, in their order. Their sum is the step's.
+    """Run one step; return the milliseconds of each stage that ran, in order. Their sum is the step's time.
 
     Parameters
     ----------
     clock_ns : callable
-        `work_ns` counts what this thread worked, however busy the machine is.
+        `work_ns` counts only this thread's processor time, however busy the machine is.
     """
     taken: dict[str, float] = {}
     last = clock_ns()

@@ -1,4 +1,4 @@
-"""Rows for a program (CSV) and for a person (Markdown)."""
+"""Format rows as tables for programs (CSV) and people (Markdown)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from dataclasses import fields
 from typing import Any
 
 _WORDS = ("object", "method", "sensor", "what")
-"""Columns of this name lean to the left, as long as they come first."""
+"""Leading columns with these names are left-aligned."""
 
 
 def csv_text(kind: type[Any], rows: Sequence[Any]) -> str:
-    """One line for each row, a column for each field of the dataclass `kind`; NaN is empty."""
+    """CSV with a line for each row and a column for each field of the dataclass `kind`; NaN is empty."""
     names = [field.name for field in fields(kind)]
     return csv_lines(names, [[getattr(row, name) for name in names] for row in rows])
 
 
 def csv_lines(header: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
-    """The header and the lines; NaN is empty."""
+    """CSV of a header and lines; NaN is empty."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
@@ -37,7 +37,7 @@ def _plain(value: object) -> object:
 
 
 def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Pad the columns, so that a terminal shows them as a document does; numbers to the right."""
+    """A Markdown table with padded columns, readable in a terminal too; numbers are right-aligned."""
     widths = [max(len(str(line[k])) for line in (header, *lines)) for k in range(len(header))]
     left = sum(name in _WORDS for name in header)
 

@@ -41,7 +41,6 @@ ALLOWED = {
     "tools/training/network.py": ("foreign",),
     # An option of mmdebstrap, and the program that a page was made with.
     "tools/rig/arm64.py": ("foreign",),
-    "docs/results/shear.md": ("displacement",),
     **{f"tacshade_edge/simulator/{file}": (word,) for word, files in MECHANICS.items() for file in files},
 }
 

@@ -56,7 +56,7 @@ def test_a_recording_that_was_cut_off_is_told(recording: Path, caplog: pytest.Lo
 
 def test_a_recording_without_its_calibration_needs_a_sensor(recording: Path, sensor: ts.Sensor) -> None:
     (recording / "calibration.npz").unlink()
-    with pytest.raises(ts.ConfigError, match=r"no calibration\.npz in it, expected one, or a sensor"):
+    with pytest.raises(ts.ConfigError, match=r"contains no calibration\.npz; pass a sensor"):
         ts.read(recording)
     assert next(ts.read(recording, sensor)).profile == "fast"
 

@@ -120,7 +120,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
 @pytest.mark.slow
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
-    with pytest.raises(DeviceError, match=r"cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers"):
+    with pytest.raises(DeviceError, match=r"cluster tcp://127\.0\.0\.1:1: no Dask scheduler answered"):
         workers("tcp://127.0.0.1:1").__enter__()
     with pytest.raises(ConfigError, match=r"found 'carrier pigeon://x', expected tcp://HOST:8786"):
         workers("carrier pigeon://x").__enter__()

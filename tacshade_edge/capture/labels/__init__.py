@@ -1,1 +1,1 @@
-"""Taking labelled frames: readings that a person types, a scale's, and a robot's poses, lined up with the pictures."""
+"""Takes labelled frames: matches typed readings, a scale's readings and a robot's poses to the pictures."""

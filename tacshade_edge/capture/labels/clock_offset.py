@@ -1,4 +1,4 @@
-"""How late a scale's readings are against the pictures: where its force follows the picture's change best."""
+"""The delay of a scale's readings after the pictures: the lag at which force and picture change correlate best."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ERROR_MOST_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """A picture of time t shows the force of the scale's time t + `offset_s`; one standard error beside it."""
+    """A scale's clock offset and its standard error: a picture of time t shows the force read at t + `offset_s`."""
 
     offset_s: float
     error_s: float
@@ -26,28 +26,28 @@ class ClockOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """What was seen from before a press until after it was lifted: times in s and the picture's change, both (n,)."""
+    """Times in s and the picture's change, both (n,), from before a press until after it was lifted."""
 
     t_s: F64
     change: F64
 
 
 def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
-    """Find the offset from each press by itself; their scatter is its error.
+    """Find the offset as the mean lag of the presses; their scatter gives its standard error.
 
     Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a parabola through the
-    greatest correlation and its neighbours places it between the steps.
+    greatest correlation and its neighbours locates the peak between the steps.
 
     Parameters
     ----------
     presses : sequence of Press
     t_s, force : float64 (m,)
-        The scale's readings as they arrived, ascending.
+        The scale's readings and their arrival times, ascending.
 
     Raises
     ------
     ValueError
-        ``found …, expected …``: it cannot be found.
+        ``found …, expected …``: why the offset cannot be found.
     """
     lags = [lag for press in presses if (lag := _lag_s(press, t_s, force)) is not None]
     if len(lags) < PRESSES_LEAST:
@@ -61,7 +61,7 @@ def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
 
 
 def _lag_s(press: Press, t_s: F64, force: F64) -> float | None:
-    """One press's lag; None where nothing in it fits, or the best lies at the end of the range."""
+    """Return one press's lag in s; None if it correlates too weakly or best at the end of the range."""
     if len(press.t_s) < 5 or len(t_s) < 5:
         return None
     lags = np.arange(-RANGE_S, RANGE_S + _STEP_S / 2, _STEP_S)

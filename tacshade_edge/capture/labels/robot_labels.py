@@ -1,4 +1,4 @@
-"""Labels of a frame from a robot's poses: where what was touched first is now, seen from the sensor."""
+"""Labels of a frame from a robot's poses: how the object has moved relative to the sensor since first touch."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tacshade_edge.types import Frame
 
 
 class RobotLabels:
-    """Labels against the pose at which the skin touched first.
+    """Labels relative to the pose at first touch.
 
     Parameters
     ----------
     sensor : Sensor
-        With ``flange_T_sensor``.
+        Has ``flange_T_sensor``.
     pose_at : PoseAt
     """
 
@@ -30,15 +30,15 @@ class RobotLabels:
 
     @property
     def knows_first_touch(self) -> bool:
-        """Whether the first touch was confirmed."""
+        """Whether the person has confirmed the first touch."""
         return self._first is not None
 
     def confirm_first_touch(self, frame: Frame) -> None:
-        """The skin just touches in this frame. Raises ConfigError."""
+        """Keep the pose of a frame in which the skin just touches. Raises ConfigError."""
         self._first = self._base_T_sensor(frame)
 
     def labels(self, frame: Frame) -> dict[str, float]:
-        """What `labels_between` gives; nothing before the first touch was confirmed. Raises ConfigError."""
+        """Return the labels of `labels_between`; none before the first touch is confirmed. Raises ConfigError."""
         if self._first is None:
             return {}
         return labels_between(self._first, self._base_T_sensor(frame), self._skin_radius_mm)
@@ -48,7 +48,7 @@ class RobotLabels:
 
 
 def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:
-    """Depth, tilt, shear and twist of an object that stands still, against where the sensor touched it first.
+    """Return depth, tilt, shear and twist of an object that stands still, relative to the first touch.
 
     With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now at q = now_T_first
     (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is

@@ -1,4 +1,4 @@
-"""A scale on a serial port: its readings with the times of their arrival, from a thread that does nothing else."""
+"""A scale on a serial port: a separate thread collects its readings and their arrival times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GAP_S = 1.0
 
 
 def scale_port(text: str) -> SerialPort:
-    """The port of ``DEVICE[:BAUD]``."""
+    """Return the serial port that ``DEVICE[:BAUD]`` names."""
     device, colon, baud = text.rpartition(":")
     if colon and baud.isdecimal() and "://" not in text:
         return SerialPort(device, int(baud))
@@ -28,7 +28,7 @@ def scale_port(text: str) -> SerialPort:
 
 
 class Scale:
-    """Reads from `open` to `close`.
+    """A scale that a thread reads from `open` to `close`.
 
     Parameters
     ----------
@@ -47,13 +47,13 @@ class Scale:
         self._thread = threading.Thread(target=self._run, name="scale", daemon=True)
 
     def open(self) -> None:
-        """Open the port and begin. Raises DeviceError, ConfigError."""
+        """Open the port and start reading. Raises DeviceError, ConfigError."""
         self._port.open()
         self._heard_s = time.monotonic()
         self._thread.start()
 
     def close(self) -> None:
-        """End, and let go of the port."""
+        """Stop reading and close the port."""
         self._stop.set()
         self._port.wake()
         if self._thread.ident is not None:
@@ -61,7 +61,7 @@ class Scale:
         self._port.close()
 
     def check(self) -> None:
-        """Raises DeviceError when the port was lost, the scale writes no reading, or there are too many."""
+        """Raise the reader's error, or DeviceError if the scale sends no readings or has sent too many."""
         if self._error is not None:
             raise self._error
         if len(self._t_s) >= READINGS_MAX:
@@ -74,12 +74,12 @@ class Scale:
             raise DeviceError(f"scale {self._port.device}: found {found} for {_SILENT_S:.0f} s, {expected}")
 
     def readings(self) -> tuple[F64, F64]:
-        """All so far: arrival in s of CLOCK_MONOTONIC, and force in N; both (m,)."""
+        """All readings so far: arrival in s of CLOCK_MONOTONIC, and force in N; both (m,)."""
         with self._lock:
             return np.array(self._t_s), np.array(self._force_n)
 
     def median_n(self, since_s: float) -> tuple[float, float]:
-        """Median of the readings since then, and their spread from the 5th to the 95th percentile; NaN of none."""
+        """Median of the readings since `since_s` and their spread from the 5th to the 95th percentile; NaN if none."""
         t_s, force_n = self.readings()
         recent = force_n[t_s >= since_s]
         if not len(recent):
@@ -111,7 +111,7 @@ class Scale:
 
 
 def force_at(at_s: float, t_s: F64, force_n: F64) -> float | None:
-    """Force between two of a scale's readings that are at most `GAP_S` apart; None elsewhere."""
+    """Return the force in N, interpolated between readings at most `GAP_S` apart; None elsewhere."""
     after = int(np.searchsorted(t_s, at_s))
     if not 0 < after < len(t_s) or t_s[after] - t_s[after - 1] > GAP_S:
         return None

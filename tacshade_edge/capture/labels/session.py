@@ -1,4 +1,4 @@
-"""The dialogue that takes labelled frames: readings that are typed, or presses that a scale or a robot labels."""
+"""The dialogue that takes labelled frames: a person types readings, or a scale or a robot labels whole presses."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from tacshade_edge.storage.tables.tables import number
 from tacshade_edge.types import F32, QUANTITIES, Frame
 
 _REST_S = 3.0
-_KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100  # of a press
-_POSE_NS = 200_000_000  # the pose after a frame is there by then
+_KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100  # frames kept of one press
+_POSE_NS = 200_000_000  # the first pose after a frame has arrived by then
 _NO_IMAGE = np.zeros((1, 1), np.uint8)
 _FORCE = "force_z_n"
-_CHANGE_FACTOR, _CHANGE_GREY = 2.0, 0.1  # above what rest shows something touches
+_CHANGE_FACTOR, _CHANGE_GREY = 2.0, 0.1  # change above that at rest that counts as contact
 
 _HELP = """  Enter            record a press: press, lift, then Enter; needs a scale or a robot
     NAME=VALUE ...   type readings while you hold still: force_z_n=1.2 depth_mm=0.5; takes one picture
@@ -37,7 +37,7 @@ _HELP = """  Enter            record a press: press, lift, then Enter; needs a s
 
 
 class LabelSession:
-    """One start of the command, over a folder that may hold an earlier one's work.
+    """One run of the command on a folder that may already hold an earlier run's frames.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class LabelSession:
     live : Live
     terminal : Terminal
     scale : Scale, optional
-        Open.
+        Already open.
     robot : RobotLabels, optional
     """
 
@@ -58,19 +58,19 @@ class LabelSession:
         self._scale = scale
         self._robot = robot
         self._rows = folder.rows()
-        self._presses: dict[str, Press] = {}  # by group, of this start
+        self._presses: dict[str, Press] = {}  # this run's presses by group
         self._rest: F32 = np.zeros((1, 1), np.float32)
         self._rest_change = 0.0
         self._tare_n = 0.0
         self._unaligned = self._unposed = ""
 
     def run(self) -> None:
-        """Take rest and tare, then labelled frames until the person ends it.
+        """Take rest and tare, then labelled frames until the person ends the run.
 
         Raises
         ------
         InputEnded, DeviceError, ConfigError
-            What was taken until then is in the folder.
+            The folder keeps what was taken before.
         """
         if self._rows:
             self._terminal.say(f"this folder already has {len(self._rows)} labelled pictures")
@@ -122,7 +122,7 @@ class LabelSession:
         return True
 
     def _change(self, blocks: F32) -> float:
-        """How much a picture differs from rest, in grey levels; the light's own change is not counted."""
+        """Mean change of a picture from rest in grey levels, without the change that all blocks share (the light)."""
         change = blocks - self._rest
         return float(np.abs(change - np.median(change)).mean())
 
@@ -148,7 +148,7 @@ class LabelSession:
         seen: list[tuple[float, float]] = []
         rows: list[LabelRow] = []
         posed: list[dict[str, float]] = []
-        held: deque[Frame] = deque()  # until the robot's pose after each is there
+        held: deque[Frame] = deque()  # each waits for the robot's pose that follows it
         while self._terminal.line() is None:
             frame = self._live.frame()
             if self._scale is not None:
@@ -211,7 +211,7 @@ class LabelSession:
             self._unposed = ""
 
     def _with_force(self) -> list[LabelRow]:
-        """The rows with the scale's force, as soon as its clock is known."""
+        """Return the rows, with the scale's force once its clock offset is known."""
         offset = self._offset()
         if self._scale is None or offset is None:
             return self._rows
@@ -236,7 +236,7 @@ class LabelSession:
         return offset
 
     def _end(self) -> None:
-        """State tare, drift and the scale's clock; a scale that cannot be lined up gives no force."""
+        """Print the scale's tare, drift and clock offset. Raises DeviceError if the offset cannot be found."""
         if self._scale is None:
             return
         self._live.ask("Make sure that nothing touches the skin or loads the scale; Enter measures the drift.")
@@ -260,7 +260,7 @@ class LabelSession:
 
 
 def _parse(words: Sequence[str]) -> dict[str, float]:
-    """Readings that were typed. Raises ConfigError."""
+    """Parse typed readings. Raises ConfigError."""
     known = {}
     for word in words:
         name, equals, text = word.partition("=")

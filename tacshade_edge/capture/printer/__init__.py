@@ -1,1 +1,1 @@
-"""Presses by a 3-D printer: its line, its head, what the camera says to each step, and the order of it all."""
+"""Presses by a 3-D printer: its serial line, its head, the camera's check of each step, and the whole sequence."""

@@ -1,4 +1,4 @@
-"""What the camera sees of a step of the head: contact or none, or that it cannot be believed."""
+"""Detects from the camera whether a step of the head made contact, and stops if the pictures cannot be trusted."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, b
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.types import F32, U8, Frame
 
-# After a move the machine swings out so long; then so many frames are averaged.
+# The machine swings for `_SETTLE_S` after a move; then `_FRAMES` frames are averaged.
 _SETTLE_S, _FRAMES, _FRAMES_MOST_S = 0.15, 4, 5.0
-# Contact changes a block's mean by more than rest does by this factor and so many grey levels. A ball 0.02 mm deep
-# makes 3.4 to 10 levels where rest makes 0.6 to 1.2 (four simulated sensors, 640x480).
+# Contact changes a block's mean by more than `_REST_FACTOR` times the change at rest plus `_CONTACT_GREY` levels. A
+# ball pressed 0.02 mm deep changes it by 3.4 to 10 levels, rest by 0.6 to 1.2 (four simulated sensors, 640x480).
 _REST_FACTOR, _CONTACT_GREY = 2.0, 2.0
 _REST_LOOKS = 6
 _FREE_WAIT_S, _STILL_MOST_S = 15.0, 20.0
 
 
 class ContactDetector:
-    """The camera as it watches the machine.
+    """Contact between indenter and skin, detected from the camera's pictures.
 
     Parameters
     ----------
     live : Live
     check : PressCheck
-        Of the references.
+        Made from the references.
     keypress : KeypressStop
     """
 
@@ -42,7 +42,7 @@ class ContactDetector:
         self._contact_grey = 0.0
 
     def learn_rest(self) -> None:
-        """Learn what the free skin changes by at rest; nothing moves. Raises as `look`."""
+        """Measure how much the picture of the free skin changes while nothing moves. Raises as `look`."""
         looks = [self._look()[0] for _ in range(_REST_LOOKS)]
         rest_grey = max(motion_grey([a, looks[0]]) for a in looks)
         if rest_grey > REST_MOST_GREY:
@@ -52,12 +52,12 @@ class ContactDetector:
         self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
 
     def learn_free(self) -> None:
-        """Wait until the skin has come to rest, and take it as free: the head is above it.
+        """Wait until the skin has come to rest below the head, and keep its picture as that of the free skin.
 
         Raises
         ------
         SafetyStop
-            It still shows contact after a while, and as `look`.
+            The picture still shows contact or motion after `_FREE_WAIT_S`; and as `look`.
         """
         end_s = time.monotonic() + _FREE_WAIT_S
         before, _ = self._look()
@@ -73,12 +73,12 @@ class ContactDetector:
             before = now
 
     def look(self) -> bool:
-        """Whether anything touches, since `learn_free`.
+        """Whether anything touches the skin, compared with the free skin of `learn_free`.
 
         Raises
         ------
         SafetyStop
-            The camera gives the same picture again and again, was moved, or what cannot be used.
+            The camera repeats one picture, has moved, delivers too few frames, or delivers unusable ones.
         Stopped
         DeviceError
             The camera is lost.
@@ -88,7 +88,7 @@ class ContactDetector:
         return judged.in_contact or motion_grey([self._free, now]) > self._contact_grey
 
     def still_image(self) -> U8:
-        """The picture, once it stands still; of what touches. Raises as `look`, and SafetyStop when it never does."""
+        """Return the picture of the pressed skin once it is still. Raises Stopped, and DeviceError if it never is."""
         frame = self._live.still_frame(_STILL_MOST_S)
         if frame is None:
             self._keypress.check()
@@ -96,7 +96,7 @@ class ContactDetector:
         return np.array(frame.image)
 
     def _look(self) -> tuple[F32, Judgement]:
-        """Block means of frames that were taken from now on, and what the last one shows."""
+        """Return the block means, averaged over frames taken from now on, and the judgement of the last frame."""
         frames = self._frames()
         blocks = [block_means(to_grey(frame.image)) for frame in frames]
         if all(np.array_equal(frames[0].image, frame.image) for frame in frames[1:]):

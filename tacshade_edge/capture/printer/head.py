@@ -1,4 +1,4 @@
-"""The printer's head: moved in short parts within its limits, and where it was sent to after each."""
+"""Moves the printer's head in short parts within its limits and checks the reported position after each."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tacshade_edge.settings.printer_file import PrinterFile
 from tacshade_edge.types import F64
 
 DOWN_MM_S = 4.0
-"""Of moves up and down."""
+"""Speed of moves up and down, mm/s."""
 
-# No move lasts longer: what a hand stops ends within it.
+# No part of a move lasts longer, so a keypress stops the head within this time.
 _LONGEST_S = 0.5
 _HOME_S = 120.0
-# Printers report hundredths.
+# Printers report hundredths of a mm.
 _POSITION_MM = 0.015
 
 
@@ -35,11 +35,11 @@ class Head:
     Attributes
     ----------
     is_certain : bool
-        Every command was answered, and the printer reported the place that it was sent to.
+        Whether the printer has answered every command and reported the place that the head was sent to.
     was_moved : bool
-        It was asked to move, or to home.
+        Whether the head has been sent anywhere or homed.
     free_z_mm : float
-        At this height and above nothing is in its way; sideways it moves there alone.
+        Lowest height at which nothing is in the head's way; it moves sideways only there or higher.
     """
 
     def __init__(self, line: PrinterLine, limits: PrinterFile, keypress: KeypressStop) -> None:
@@ -52,16 +52,16 @@ class Head:
 
     @property
     def z_mm(self) -> float:
-        """Where it is."""
+        """Height of the head."""
         return float(self._place_mm[2])
 
     @property
     def is_free(self) -> bool:
-        """Whether it certainly stands above the skin."""
+        """Whether the head is certainly above the skin."""
         return self.is_certain and self.z_mm >= self.free_z_mm - _POSITION_MM
 
     def prepare(self, *, home: bool) -> None:
-        """Set units, keep the motors awake, home where that is wanted, and learn where it is. Raises as `to`."""
+        """Set the units, keep the motors awake, home if requested, and read the head's position. Raises as `to`."""
         for command in (commands.MILLIMETRES, commands.ABSOLUTE, commands.stay_awake(self._line.firmware)):
             self._line.do(command)
         if home:
@@ -72,7 +72,7 @@ class Head:
         self.is_certain = True
 
     def to_start(self) -> None:
-        """Up first where it is lower, then sideways, then down to the start. Raises as `to`."""
+        """Move up if the head is lower than the start, then sideways, then down to the start. Raises as `to`."""
         x, y, z = self._limits.start_mm
         here_x, here_y, here_z = self._place_mm.tolist()
         high = max(z, here_z, self._limits.z_mm[0])
@@ -81,7 +81,7 @@ class Head:
         self._go((x, y, z), DOWN_MM_S)
 
     def over(self, x_mm: float, y_mm: float) -> None:
-        """Move sideways, as high as it is. Raises as `to`."""
+        """Move sideways at the present height. Raises as `to`."""
         if not self.is_free:
             raise SafetyStop(
                 f"found a sideways move at z {self.z_mm:.2f} mm, expected one at {self.free_z_mm:.2f} mm or above"
@@ -94,9 +94,9 @@ class Head:
         Raises
         ------
         Stopped
-            Between two parts of the move.
+            A key was pressed; raised between two parts of the move.
         SafetyStop
-            Outside the limits; an answer that is lost, an error, a place other than the one it was sent to.
+            The move leaves the limits, or the printer does not answer, reports an error or reports another position.
         DeviceError
             The line is lost.
         """
@@ -105,9 +105,9 @@ class Head:
 
     def _go(self, to_mm: tuple[float, float, float], feed_mm_s: float) -> None:
         self._check_limits(to_mm)
-        self._line.listen()  # it may have restarted, or have been moved by its own buttons, since
+        self._line.listen()  # the printer may have restarted, or a person may have moved it with its buttons
         self._check_place()
-        # In whole µm, as it is sent: what it reports is compared with it.
+        # Rounded to µm as in the command, because the reported position is compared with it.
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
             self._keypress.check()
             if not self.is_certain:

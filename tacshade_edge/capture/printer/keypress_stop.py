@@ -1,4 +1,4 @@
-"""The person who watches: any key stops what moves."""
+"""Any key that the watching person presses stops the head."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from tacshade_edge.capture.terminal import InputEnded, Terminal
 
 
 class KeypressStop:
-    """A hand on the keys of a terminal.
+    """A check for keypresses at a terminal.
 
     Parameters
     ----------
     terminal : Terminal
-        In its mode `keys` while anything moves.
+        Inside its `keys` context while anything moves.
     """
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
 
     def check(self) -> None:
-        """Raises Stopped when a key was pressed, or nobody is there any more."""
+        """Raise Stopped if a key was pressed or the terminal has closed."""
         try:
             pressed = self._terminal.line() is not None
         except InputEnded:

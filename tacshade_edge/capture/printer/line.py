@@ -1,4 +1,4 @@
-"""The printer's serial line: one command, its answer, and a limit of time for it."""
+"""The printer's serial line: one command at a time, its answer, and a time limit."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from tacshade_edge.protocol.gcode import commands
 from tacshade_edge.protocol.gcode.answers import Position
 from tacshade_edge.protocol.gcode.exchange import Exchange
 
-# A board that resets when its port is opened answers after its boot loader, which takes seconds.
+# A board that resets when its port opens answers only after its boot loader, which takes seconds.
 _GREETINGS, _GREETING_S = 6, 3.0
 _QUIET_S = 0.5
 ANSWER_S = 10.0
-"""Of a command that moves nothing or hardly: half a second of motion at most."""
+"""Time limit in s for the answer to a command that moves the head for at most half a second."""
 
-# A printer that says that it is busy is waited for; not for ever.
+# Longest wait for a printer that keeps reporting that it is busy.
 _BUSY_MOST_S = 180.0
 _STOP_S = 1.0
 
 
 class PrinterLine:
-    """The line to one printer."""
+    """The serial line to one printer."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port
@@ -33,13 +33,13 @@ class PrinterLine:
 
     @property
     def has_restarted(self) -> bool:
-        """Whether it did since it was connected to, as many boards do for that: it is not homed any more."""
+        """Whether the printer has restarted since `connect`, as many boards do then: it is no longer homed."""
         return self._exchange.has_restarted
 
     def connect(self) -> None:
         """Open the port, wait until the printer answers, and count lines from 0. Raises ConfigError, DeviceError."""
         self._port.open()
-        self._write(b"\n")  # ends what a program before may have left half sent
+        self._write(b"\n")  # ends a line that an earlier program may have left half sent
         if not any(self._greeted() for _ in range(_GREETINGS)):
             found = f"found no answer within {_GREETINGS * _GREETING_S:.0f} s"
             raise DeviceError(
@@ -61,19 +61,19 @@ class PrinterLine:
         ----------
         command : str
         limit_s : float
-            Without an answer, and without a word that the printer is busy.
+            Longest time without an answer or a report that the printer is busy.
         while_waiting : callable, optional
-            Called meanwhile; what it raises ends the wait.
+            Called repeatedly during the wait; an exception from it ends the wait.
 
         Returns
         -------
         tuple of str
-            What else was said.
+            The other lines of the answer.
 
         Raises
         ------
         SafetyStop
-            No answer, an error, a reset, or an answer too many.
+            The printer does not answer, reports an error, resets or sends one answer too many.
         DeviceError
             The port is lost.
         """
@@ -83,20 +83,20 @@ class PrinterLine:
         return self._exchange.said
 
     def position(self) -> Position:
-        """Where the printer says that its head was sent to. Raises as `do`."""
+        """Return the position to which the printer reports that its head was sent. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
             raise SafetyStop(f"the printer answered {commands.POSITION} without a position")
         return self._exchange.position
 
     def listen(self) -> None:
-        """Take what came while nothing was asked: a reset, an error. Raises as `do`."""
+        """Read what the printer sent unrequested, such as a reset or an error. Raises as `do`."""
         if again := self._exchange.receive(self._port.read()):
             raise SafetyStop(f"the printer asked again for a line that it had already answered: {again!r}")
         self._check_failure("rest")
 
     def emergency_stop(self) -> str:
-        """Send M112, whatever is under way; what became of it, in words."""
+        """Send M112, whatever is under way, and return the outcome in words."""
         try:
             if not self._port.write(commands.EMERGENCY_STOP):
                 return "cannot send M112: switch the printer off"
@@ -108,7 +108,7 @@ class PrinterLine:
         return "sent M112: the printer stands still until you reset it; check whether the indenter still presses"
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._port.close()
 
     def _greeted(self) -> bool:

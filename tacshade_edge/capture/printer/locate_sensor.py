@@ -1,4 +1,4 @@
-"""Where the sensor stands, from touches of a ball and pictures of it pressed."""
+"""Locates the sensor under the printer from a ball's touches and pictures of the pressed skin."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tacshade_edge.core.calibration.observation.press_observation import picture
 from tacshade_edge.core.calibration.observation.touches import Stand, first_touch_mm, skin_centre, stand, yaw_of
 from tacshade_edge.types import F64, Calibration
 
-# First touches around the start, then those around the axis (in skin radii), where the ball goes on by so much.
+# Rings of touches around the start and then the axis (radii in skin radii); at the axis the ball presses further.
 _AROUND_START, _AROUND_START_RADII = 3, 0.2
 _AROUND_AXIS, _AROUND_AXIS_RADII, _TURNED_RAD, _PRESSED_MM = 6, 0.4, 0.35, 1.0
 _VISIBLE_PART = 0.6
 
 
 def reach_mm(sensor: Sensor) -> float:
-    """How far from the axis it touches."""
+    """Distance of the outer touches from the axis, mm."""
     visible = math.sin(math.radians(sensor.visible_half_angle_deg))
     return sensor.skin_radius_mm * min(_AROUND_AXIS_RADII, _VISIBLE_PART * visible)
 
@@ -29,12 +29,12 @@ def reach_mm(sensor: Sensor) -> float:
 def locate_sensor(
     touch: Touch, start_mm: tuple[float, float], ball_mm: float, sensor: Sensor, unloaded: Calibration
 ) -> tuple[Stand, float]:
-    """Find where the sensor stands, with a ball in the head.
+    """Find where the sensor stands; a ball is mounted in the head.
 
     Parameters
     ----------
     touch : Touch
-        The head is over the start, and free.
+        Its head is free, above the start.
     start_mm : (x, y)
     ball_mm : float
         The ball's radius.
@@ -46,12 +46,12 @@ def locate_sensor(
     -------
     stand : Stand
     rms_mm : float
-        Of the touches beside the skin.
+        Distance of the touches from the fitted skin, root mean square.
 
     Raises
     ------
     ConfigError
-        The touches or pictures are not of such a sensor.
+        The touches or pictures do not fit this sensor.
     Stopped, SafetyStop, DeviceError
     """
     r, start = sensor.skin_radius_mm, np.array(start_mm)

@@ -1,4 +1,4 @@
-"""The presses of a plan that a printer can take, checked before anything moves."""
+"""The planned presses for a printer, checked before anything moves."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from tacshade_edge.storage.tables.capture_folder import Stated
 from tacshade_edge.storage.tables.presses import BALL
 
 BESIDE_START_MM = 5.0
-"""So far the skin's axis may be from the stated start."""
+"""Greatest distance of the skin's axis from the stated start."""
 
-# Beyond a third of the skin's radius depths are unreliable, and the skin is strained.
+# Beyond a third of the skin's radius, depths are unreliable and the press strains the skin.
 _DEEPEST_RADII = 1 / 3
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedPress:
-    """A press.
+    """A press that the plan asks for.
 
     Attributes
     ----------
     stated : Stated
-        As the plan has it.
+        The press as the plan states it.
     indenter : Indenter or float
         A float is a ball's radius in mm.
     x_mm, y_mm, depth_mm : float
-        As PRESSES.csv has them.
+        Place and depth, defined as in PRESSES.csv.
     """
 
     stated: Stated
@@ -43,31 +43,31 @@ class PlannedPress:
 
     @property
     def name(self) -> str:
-        """Of the indenter, to be mounted."""
+        """Name of the indenter to mount."""
         indenter, radius_mm, *_ = self.stated.columns
         return f"{indenter} of {radius_mm} mm" if radius_mm else indenter
 
     def taken_as(self, yaw_deg: float) -> Stated:
-        """What PRESSES.csv says of it: a ball has no yaw."""
+        """Return the row of PRESSES.csv for this press; a ball has no yaw."""
         if not isinstance(self.indenter, Indenter):
             return self.stated
         return Stated((*self.stated.columns, f"{yaw_deg:.2f}", "", "", "", ""))
 
     def is_taken_as(self, taken: Stated) -> bool:
-        """Whether this one was taken so, whatever the yaw was."""
+        """Whether `taken` is this press, at any yaw."""
         return taken.columns[: len(self.stated.columns)] == self.stated.columns
 
 
 def planned_presses(
     plan: Sequence[Stated], indenters: Mapping[str, Indenter | float], sensor: Sensor, limits: PrinterFile
 ) -> tuple[PlannedPress, ...]:
-    """Check a plan.
+    """Check a plan and return its presses.
 
     Raises
     ------
     ConfigError
-        A press without a place, outside what the camera sees, too deep, outside the printer's limits, of an indenter
-        that would have to be turned or tilted; no ball.
+        A press has no place, lies outside the camera's view or the printer's limits, has no travel or too much, or
+        states yaw, tilt or shear; or no press is with a ball.
     """
     presses = tuple(_planned(stated, indenters) for stated in plan)
     for press in presses:
@@ -78,7 +78,7 @@ def planned_presses(
 
 
 def check_reach(reach_mm: float, what: str, limits: PrinterFile) -> None:
-    """Raises ConfigError where the head cannot be so far beside the skin's axis, on every side."""
+    """Raise ConfigError unless the head can move `reach_mm` from the skin's axis on every side."""
     for axis, start, (least, most) in zip("xy", limits.start_mm, (limits.x_mm, limits.y_mm), strict=False):
         room_mm = min(start - least, most - start) - BESIDE_START_MM
         if reach_mm > room_mm:

@@ -1,6 +1,6 @@
-"""The order of it all: home, mount, find the sensor, and for each indenter touch, dry run, presses.
+"""The whole sequence: home, mount, locate the sensor, then touch, dry run and presses for each indenter.
 
-Nothing goes on after a doubt. The head is lifted only where it certainly is where it should be; else M112 stops it.
+Any doubt ends the run. The head lifts the indenter only if its position is certain; otherwise M112 stops the printer.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from tacshade_edge.types import Calibration
 
 
 class Pressing:
-    """One start of ``capture --printer``.
+    """One run of ``capture --printer``.
 
     Parameters
     ----------
     session : Session
-        Its references and its table.
+        Holds the references and the table of presses.
     live : Live
     terminal : Terminal
     line : PrinterLine
@@ -70,12 +70,12 @@ class Pressing:
         self._ball, self._ball_mm = next((p.name, p.indenter) for p in presses if isinstance(p.indenter, float))
 
     def run(self) -> None:
-        """Take the presses of the plan that are left.
+        """Take the remaining presses of the plan.
 
         Raises
         ------
         DeviceError
-            It was stopped: what for, and what was done about it. What was taken until then is in the folder.
+            The run stopped: states why, and what was done with the head. The folder keeps what was taken before.
         InputEnded
         """
         try:
@@ -153,7 +153,7 @@ class Pressing:
         return found
 
     def _lower_mm(self, press: PlannedPress) -> float:
-        """Find how much lower the head must be with another indenter, from a touch at the axis."""
+        """Return how much higher the head must be with this indenter, in mm, from a touch at the axis."""
         self._head.free_z_mm = self._limits.start_mm[2]
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, 0.0, 0.0)
         x, y, z = self._stand.head_mm(0.0, 0.0, first_mm)
@@ -182,7 +182,7 @@ class Pressing:
         self._left.remove(press)
 
     def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
-        """Move over a place; heights at first touch and at full depth. Raises SafetyStop for another circle."""
+        """Move above a place; return z at first touch and at full depth. Raises SafetyStop if the circle changed."""
         if self._session.circle_changed:
             raise SafetyStop("the visible circle changed after the sensor was located; start again")
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
@@ -192,7 +192,7 @@ class Pressing:
         return touch_z + lower_mm, touch_z + lower_mm - (press.depth_mm - first_mm)
 
     def _leave(self) -> str:
-        """Lift the indenter where that is certainly safe, else stop the printer; what was done, in words."""
+        """Lift the indenter if that is certainly safe, otherwise stop the printer; return what was done, in words."""
         if not self._head.was_moved:
             return "the head has not moved"
         if self._head.is_free:
@@ -220,13 +220,13 @@ def _without_taken(presses: Sequence[PlannedPress], session: Session) -> list[Pl
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """A terminal that was closed and a program that is asked to end stop the printer as a hand does."""
+    """Let a closed terminal (SIGHUP) and SIGTERM stop the printer as a keypress does."""
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
         raise Stopped(f"the program received {signal.Signals(number).name}")
 
     before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
-    # A shell's background jobs start with it ignored, and a hand must stop the head.
+    # A shell's background jobs start with SIGINT ignored, but Ctrl-C must stop the head.
     before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield

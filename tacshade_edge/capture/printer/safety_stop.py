@@ -1,4 +1,4 @@
-"""Why a machine that presses is stopped."""
+"""The exceptions that stop a pressing machine."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from tacshade_edge.errors import DeviceError
 
 
 class SafetyStop(DeviceError):
-    """Something is not as it should be, so nothing may go on moving."""
+    """Something is not as expected, so nothing may move any further."""
 
 
 class Stopped(Exception):
-    """The person at the terminal stopped it."""
+    """A person or a signal stopped the machine."""

@@ -1,4 +1,4 @@
-"""Which steps the head takes, and what the camera must see at each: decided before anything moves."""
+"""The steps that the head takes and what the camera must see after each, decided before anything moves."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from enum import Enum
 from tacshade_edge.types import F64
 
 CLEAR_MM = 5.0
-"""Above the highest touch: so high the head moves sideways."""
+"""Height above the highest touch at which the head moves sideways."""
 
 NEAR_MM = 1.0
-"""Above the touch: to there it goes in long steps, and no farther in the dry run."""
+"""Height above the touch down to which the head takes long steps; the dry run ends there."""
 
 _LONG_MM, _SHORT_MM = 2.0, 0.5
-# A touch may come so much earlier, or be seen so much later, than the stand of the sensor says.
+# How much earlier or later the camera may see a touch than the sensor's location predicts.
 _EARLY_MM, _LATE_MM = 0.35, 0.6
 
 
@@ -30,21 +30,21 @@ class Expected(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One move straight down, and what must be seen after it."""
+    """One move straight down, and what the camera must see after it."""
 
     z_mm: float
     expected: Expected
 
 
 def descent(from_z_mm: float, touch_z_mm: float, to_z_mm: float) -> Iterator[Step]:
-    """Steps straight down, the last one exactly to `to_z_mm`; none where it is not below `from_z_mm`.
+    """Yield steps straight down, the last one exactly to `to_z_mm`; none if that is not below `from_z_mm`.
 
     Parameters
     ----------
     from_z_mm : float
         Where the head is.
     touch_z_mm : float
-        Where it must touch by all that is known.
+        Where the indenter is expected to touch.
     to_z_mm : float
     """
     z = from_z_mm
@@ -55,13 +55,13 @@ def descent(from_z_mm: float, touch_z_mm: float, to_z_mm: float) -> Iterator[Ste
 
 
 def search(from_z_mm: float, least_z_mm: float, step_mm: float) -> Iterator[float]:
-    """Heights to look at one after the other on the way down, none below the least."""
+    """Yield the heights at which to look for a touch on the way down, none below `least_z_mm`."""
     for k in range(1, max(math.floor((from_z_mm - least_z_mm) / step_mm), 0) + 1):
         yield from_z_mm - k * step_mm
 
 
 def segments(from_mm: F64, to_mm: F64, longest_mm: float) -> tuple[F64, ...]:
-    """Ends of the equal parts of a straight move, none longer than this; the last is `to_mm` itself."""
+    """Return the ends of a straight move's equal parts, none longer than `longest_mm`; the last is `to_mm` itself."""
     parts = max(math.ceil(math.dist(from_mm, to_mm) / longest_mm), 1)
     return (*(from_mm + (to_mm - from_mm) * (k / parts) for k in range(1, parts)), to_mm)
 

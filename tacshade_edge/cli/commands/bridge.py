@@ -1,4 +1,4 @@
-"""``tacshade-edge bridge``: what sensors publish, for other tools, in a process of its own."""
+"""``tacshade-edge bridge``: serves what sensors publish to other tools, in a separate process."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ def run(args: argparse.Namespace) -> int:
         password=password_in(args.password_file, "--password-file") if args.password_file else None,
         tls_ca=args.ca_file,
     )
-    # Waited for below: no handler runs amid anything. Threads inherit it, so it comes before any of them.
+    # `_serve` waits for the blocked signals, so no handler interrupts other code. Threads started later inherit the
+    # mask; one that a library started before may take a signal, which must not end the process: hence the handlers.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
-    # A library's thread that was there before the mask takes a signal too: that must not end the process by default.
     ended = threading.Event()
     handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in _ENDS}
     try:

@@ -1,4 +1,4 @@
-"""``tacshade-edge calibrate``: references and known presses to a calibration file, or a new reference for one."""
+"""``tacshade-edge calibrate``: makes a calibration file from references and known presses, or renews its reference."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit or re-zero, write, and print how good it is."""
+    """Fit or re-zero, write the calibration file, and print its quality."""
     if args.rezero is not None:
         if args.presses or args.indenters:
             given = "--presses" if args.presses else "--indenters"
@@ -136,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[KnownPress], tuple[str, ...]]:
-    """The presses with their depth in place of the travel, and those left out that have none."""
+    """Return the presses with their depth instead of their travel, and a warning for each left out as it has none."""
     converted = [from_travel(press, sensor.skin_radius_mm) for press in presses]
     why = "after that travel its lowest point is still above the skin at (x, y); left out"
     above = tuple(f"{press.name}: {why}" for press in converted if press.depth_mm <= 0)
@@ -144,8 +144,8 @@ def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[Kn
 
 
 def _fit() -> Callable[..., FitResult]:
-    """What trains. Raises ConfigError: it cannot be imported."""
-    if importlib.util.find_spec("torch") is None:  # nothing else needs it, and it is large
+    """Return the function that trains. Raises ConfigError if PyTorch is not installed."""
+    if importlib.util.find_spec("torch") is None:  # an extra: large, and needed only here
         raise ConfigError(f"--fit: found no PyTorch, expected the extra fit: {how_to_install('fit')}")
     from tacshade_edge.fitting.fit import fit
 
@@ -157,7 +157,7 @@ def _say(text: str) -> None:
 
 
 def _fitted(fitted: FitResult | None) -> dict[str, Any]:
-    """For ``--json``."""
+    """Return the result of the fit for ``--json``."""
     if fitted is None:
         return {}
     reports = {
@@ -168,7 +168,7 @@ def _fitted(fitted: FitResult | None) -> dict[str, Any]:
 
 
 def _by_path(text: str, args: argparse.Namespace) -> str:
-    """What is wrong with a whole file names it as the documents do: put its path there."""
+    """Replace a file's generic name, which errors about the whole file contain, with its path."""
     paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}
     return re.sub(r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )", lambda name: paths[name[0]], text)
 
@@ -178,7 +178,7 @@ def _rezero(args: argparse.Namespace) -> int:
     images = _read_references(args.reference)
     try:
         renewed = rezero(old, images, args.allow_loaded_reference, list(map(str, args.reference)))
-        # Those that cannot run are kept too: `doctor` asks for a new fit.
+        # Keep even networks that cannot run: `doctor` then suggests a new fit.
         renewed = replace(renewed, fitted=calibration_file.fitted_in(args.rezero))
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
@@ -224,7 +224,7 @@ def _print(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str
 
 
 def _quality(quality: Quality) -> dict[str, Any]:
-    """For ``--json``."""
+    """Return the quality for ``--json``."""
     return {"verdict": quality.grade, "verdict_line": quality.line, "to_do": list(quality.advice)}
 
 

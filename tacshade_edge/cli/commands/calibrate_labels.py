@@ -1,4 +1,4 @@
-"""``tacshade-edge calibrate --labels``: a touch model for each profile that has a network."""
+"""``tacshade-edge calibrate --labels``: learns a touch model for each profile that has a network."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHOWN = 3
 
 
 def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]) -> list[TouchResult]:
-    """Learn, profile by profile. Raises ConfigError: an image that cannot be read, or no quantity with enough rows."""
+    """Learn a touch model per profile. Raises ConfigError for an unreadable image or too few rows of every quantity."""
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
@@ -56,7 +56,7 @@ def _frames(
 
 
 def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
-    """Of frames that were left out, and quantities with too few rows."""
+    """Return warnings about frames that were left out and quantities with too few rows."""
     lines = []
     for one in results:
         if one.left_out:
@@ -69,7 +69,7 @@ def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
 
 
 def touch_report(results: Sequence[TouchResult]) -> dict[str, Any]:
-    """For ``--json``."""
+    """Return the touch models' figures for ``--json``."""
     if not results:
         return {}
     return {

@@ -1,4 +1,4 @@
-"""``tacshade-edge capture``: a sensor's references and presses, taken with the person who presses."""
+"""``tacshade-edge capture``: takes a sensor's references and presses, or labelled frames, together with the user."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.doctor.cameras import CSI_MEND, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.cameras import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import ports, sources
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="write indenters to print (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
+        help="write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
     )
     what.add_argument(
         "--labels",
@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Take references and presses; say what to do with them."""
+    """Take references and presses, or labelled frames, and print the commands that use them."""
     if args.indenters is not None:
         for path in write_printables(args.indenters):
             print(path)
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     if args.labels is not None and (args.plan or args.printer):
         raise ConfigError("--labels: found --plan or --printer too, expected neither")
     if args.printer is not None and args.plan is None:
-        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes a plan)")
+        raise ConfigError("--printer: found no --plan, expected one (--indenters DIR writes a plan)")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
 def _labelling(
     args: argparse.Namespace, serial: Serial | None, terminal: Terminal, sensor: Sensor
 ) -> Callable[[Live], None]:
-    """What takes labelled frames of an open camera."""
+    """Return a function that takes labelled frames from an open camera."""
 
     def session(live: Live) -> None:
         scale = None if args.scale is None else Scale(scale_port(args.scale))
@@ -184,7 +184,7 @@ def _run(
     session: Callable[[Live], None],
 ) -> None:
     def state_circle(circle: Disc | None) -> None:
-        read_sensor(folder.sensor)  # it may have been edited meanwhile
+        read_sensor(folder.sensor)  # checks it again: the user may have edited it meanwhile
         text = folder.sensor.read_text(encoding="utf-8")
         folder.write(folder.sensor, with_visible_circle(text, circle))
 
@@ -205,7 +205,7 @@ def _run(
 
 
 def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
-    """The camera as an earlier start set it, as settings say, or the machine's only one; and the settings' robot.
+    """The camera from the settings, else from --camera, else the machine's only one; and the robot from the settings.
 
     Raises
     ------
@@ -244,12 +244,12 @@ def _which(cameras: Sequence[str]) -> str:
     if cameras:
         return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
     if has_csi_receiver(Machine()):
-        return f"found no USB camera; {CSI_MEND}"
+        return f"found no USB camera; {CSI_FIX}"
     return "found no camera, expected one (lsusb lists it if USB sees it), or --config with a source"
 
 
 def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:
-    """Settings of a daemon for this sensor, with the exposure that the camera was locked at."""
+    """The daemon's settings for this sensor, with the exposure at which the camera was locked."""
     locked = described.get("exposure_lock") == Lock.LOCKED
     value = described.get("exposure_value")
     if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
@@ -262,7 +262,7 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
 
 
 def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
-    """SENSOR.yaml, asked for where there is none. Raises ConfigError, InputEnded."""
+    """Read SENSOR.yaml; if there is none, ask the user for its values first. Raises ConfigError, InputEnded."""
     if not folder.sensor.exists():
         values: dict[str, float | str] = {}
         for key, question in _QUESTIONS.items():
@@ -280,7 +280,7 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
 
 
 def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
-    """The command that learns from the table, to be copied."""
+    """Print the command that learns from the table, for the user to copy."""
     shown = shlex.quote(str(folder.path))
     words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
     terminal.say(f"next:\n  {words} --labels {shown}/{LABELS} --out {shown}/{_CALIBRATION}")
@@ -289,7 +289,7 @@ def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
-    """The commands that come next, to be copied."""
+    """Print the commands that come next, for the user to copy."""
     taken, shown = folder.taken(), shlex.quote(str(folder.path))
     if not list(folder.path.glob(REFERENCES)):
         terminal.say(f"no reference was taken; to continue, run: tacshade-edge capture {shown}")

@@ -1,4 +1,4 @@
-"""The robot's line while ``tacshade-edge capture`` runs: its poses are heard, and nothing else is done for it."""
+"""The robot's serial line while ``tacshade-edge capture`` runs: it only delivers poses; requests have no effect."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MISSING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capt
 
 @contextlib.contextmanager
 def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
-    """Serve the line of the settings as the daemon does (docs/reference/serial.md); None where there is no robot."""
+    """Serve the robot's serial line as the daemon does (docs/reference/serial.md); yields None without a robot."""
     if serial is None or (port := ports.make_serial_port(serial)) is None:
         yield None
         return

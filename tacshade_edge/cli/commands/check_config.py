@@ -1,4 +1,4 @@
-"""``tacshade-edge check-config``: is a settings file right, as far as can be checked without hardware?"""
+"""``tacshade-edge check-config``: checks a settings file as far as possible without hardware."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print ``FILE: ok``, or raise the ConfigError that has all that is wrong."""
+    """Print ``FILE: ok``, or raise a ConfigError that lists all mistakes."""
     if args.schema:
         print(json.dumps(file_schema(), indent=2))
         return 0
@@ -67,6 +67,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_broker(document: Document) -> None:
-    """Make what `run` makes, and do not start it: a wrong certificate is found here."""
+    """Make the links that `run` makes without starting them: this finds a wrong certificate."""
     links.check_broker_files(document)
     links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

@@ -1,4 +1,4 @@
-"""``tacshade-edge completion``: a file for bash, zsh or tcsh; nothing of ours runs when TAB is pressed."""
+"""``tacshade-edge completion``: prints a script for bash, zsh or tcsh; pressing TAB then runs none of our code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the shell's file."""
+    """Print the shell's completion script."""
     try:
         import shtab
     except ImportError:

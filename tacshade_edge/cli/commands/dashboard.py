@@ -1,4 +1,4 @@
-"""``tacshade-edge dashboard``: the live page, in a process of its own."""
+"""``tacshade-edge dashboard``: serves the live page from a separate process."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """``tacshade-edge demo``: simulated sensors, the real daemon for each, a private broker and the dashboard.
 
-All are on loopback, but for the page with ``--listen``. With ``--hand`` five fingers of one hand in place of the two
-single sensors, not beside them: what one board can bear.
+All listen on loopback, except the page with ``--listen``. With ``--hand``, the five fingers of a hand replace the two
+single sensors: one board cannot run all of them.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.version import how_to_install
 
-FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, few of them in up to 170
+FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170
 PORT: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
 ANY: Final = ("0.0.0.0", "::")
-ELSEWHERE: Final = ("192.0.2.1", 9)  # an address of documentation (RFC 5737)
+ELSEWHERE: Final = ("192.0.2.1", 9)  # an address reserved for documentation (RFC 5737)
 STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _SETTINGS = """\
@@ -66,20 +66,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
-    if importlib.util.find_spec("websockets") is None:  # the page's; said before a minute of work
+    """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
+    if importlib.util.find_spec("websockets") is None:  # the page needs it; check before a minute of work
         raise ConfigError(f"demo: found no package websockets; to install it: {how_to_install('demo')}")
     asked = threading.Event()
 
     def stop(*_: object) -> None:
-        """Leave what is being done and stop the children; a second Ctrl-C does not interrupt that."""
+        """Interrupt the current work and stop the children; a second Ctrl-C does not interrupt that."""
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         asked.set()
         raise KeyboardInterrupt
 
     def end_if_asked() -> None:
-        """Leave now where the exception was lost: what a destructor or a library's callback raises goes nowhere."""
+        """Raise the interrupt again if it was lost, as it is when raised in a destructor or a library's callback."""
         if asked.is_set():
             raise KeyboardInterrupt
 
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         page += ["--recordings", str(folder / "recordings")]
         login = ""
         if not is_loopback(host):
-            # The sensor is simulated: whoever has the address may play with it.
+            # The sensor is simulated, so anyone with the address may control it.
             token_file = folder / "token"
             login = f"login#{make_token(token_file)}"
             page += ["--token-file", str(token_file), "--allow-control"]
@@ -153,17 +153,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def addresses(host: str) -> tuple[str, ...]:
-    """What to open from where somebody sits: of an address for all networks, this machine's name and its own."""
+    """Return the hosts under which to open the page: `host`, or for a wildcard this machine's address and name."""
     if host not in ANY:
         return (host,)
     with socket.socket(type=socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.connect(ELSEWHERE)  # sends nothing: it asks the routes
+        probe.connect(ELSEWHERE)  # sends nothing, only looks up the route
         return probe.getsockname()[0], socket.gethostname()
     return (socket.gethostname(),)
 
 
 def _free(host: str, port: int) -> int:
-    """The port itself, or another one when it is taken."""
+    """Return the port itself, or another free one if it is taken."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

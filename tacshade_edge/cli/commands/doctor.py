@@ -1,4 +1,4 @@
-"""``tacshade-edge doctor``: what is wrong with a sensor and its machine, and what fixes it."""
+"""``tacshade-edge doctor``: finds faults of a sensor and its machine and suggests fixes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print every finding; 78 with bad settings, 1 with another fault."""
+    """Print every finding; return 78 for bad settings and 1 for any other fault."""
     if args.with_frame and args.bundle is None:
         args.refuse("--with-frame: found no --bundle FILE, expected both")
     findings, seen = [], Seen()
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shown(finding: Finding, *, colour: bool) -> str:
-    """The finding as it is printed: a line, and the fix below it."""
+    """The finding as text: a line, and the fix in a second line."""
     state = f"{finding.state:<7}"
     if colour:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"

@@ -1,4 +1,4 @@
-"""``tacshade-edge evaluate``: Experiment 1 of the paper on simulated sensors, or a user's own images with truth."""
+"""``tacshade-edge evaluate``: runs the paper's Experiment 1 on simulated sensors, or scores a user's own images."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
 SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
-"""Options that mean nothing to a user's own images."""
+"""Options that are only for simulated sensors."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,14 +66,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate; print the tables, write the files."""
+    """Evaluate, print the tables and write the files."""
     if args.labels is not None or args.sensor is not None or args.reference is not None:
         return evaluate_labels.run(_labels_checked(args), _profiles(args))
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
 
 def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
-    """Refuse what does not go with labels."""
+    """Return the arguments; exit with a usage error if any cannot be combined with labels."""
     given = [name for name in SIMULATED if getattr(args, name) is not None]
     if given:
         args.usage_error(f"--{given[0]} cannot be used with --labels")
@@ -134,7 +134,7 @@ def _own(args: argparse.Namespace) -> int:
 
 
 def _settings(plan: Plan, found: Evaluation) -> dict[str, Any]:
-    """The plan, and each sensor as it is and as it was calibrated."""
+    """The plan, with the model and calibration fit of each sensor."""
     sensors = [
         {
             "name": str(name),

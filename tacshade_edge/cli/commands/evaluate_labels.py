@@ -1,4 +1,4 @@
-"""``tacshade-edge evaluate --labels``: a user's own frames against what a robot knows of them."""
+"""``tacshade-edge evaluate --labels``: compares results from a user's own frames with labels, such as a robot's."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tacshade_edge.types import Calibration, Frame
 
 
 def run(args: argparse.Namespace, profiles: Sequence[str]) -> int:
-    """Reconstruct every frame alone; print how what is found follows the labels, write rows and plots."""
+    """Reconstruct each frame on its own, print how well the results follow the labels, and write rows and plots."""
     labelled = read_labels(args.labels, args.images)
     calibration = _calibration(args, labelled)
     study.make_folder(args.out)
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace, profiles: Sequence[str]) -> int:
 
 
 def _calibration(args: argparse.Namespace, labelled: Sequence[LabelledImage]) -> Calibration:
-    """The user's; or one from what is known of the sensor and its references, in their place the least loaded frame."""
+    """The user's calibration, or one made from SENSOR.yaml and the references, by default the least loaded frame."""
     if args.calibration is not None:
         return calibrations.load(args.calibration, store=False)
     paths = args.reference or [min(labelled, key=_load).path]
@@ -73,6 +73,6 @@ def _calibration(args: argparse.Namespace, labelled: Sequence[LabelledImage]) ->
 
 
 def _load(each: LabelledImage) -> tuple[float, float]:
-    """Depth, then shear; what is not known comes last."""
+    """Sort key for the load: depth, then shear; an unknown depth comes last and an unknown shear counts as 0."""
     shear = math.hypot(each.known.get("shear_x_mm", 0.0), each.known.get("shear_y_mm", 0.0))
     return each.known.get("depth_mm", math.inf), shear

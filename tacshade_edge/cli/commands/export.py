@@ -1,4 +1,4 @@
-"""``tacshade-edge export``: a recording, reconstructed, in the files of others."""
+"""``tacshade-edge export``: reconstructs a recording and writes it in other tools' formats."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Export; 1 where images could not be read."""
+    """Export; return 1 if images could not be read."""
     if len(args.input) > 1:
         return _export_hand(args)
     (path,) = args.input
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _export_hand(args: argparse.Namespace) -> int:
-    """Export what the recorded fingers' hand would have published; the log reports images that cannot be read."""
+    """Export what the recorded fingers' hand would have published; log unreadable images and then return 1."""
     if args.to not in ("csv", "mcap"):
         raise ConfigError(f"--to: found {args.to} with {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
@@ -93,7 +93,7 @@ def _export_hand(args: argparse.Namespace) -> int:
     return 1 if hand.unread else 0
 
 
-# Each is imported on demand: it needs packages of its own.
+# Each format is imported on demand: some need extra packages.
 
 
 def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
@@ -127,11 +127,11 @@ FORMATS: Final[dict[str, tuple[str, Callable[[Path, Calibration, str, dict[str, 
     "ply": ("-ply", _ply),
     "lerobot": ("-lerobot", _lerobot),
 }
-"""Of each what is added to the recording's name where --out is not given, and what writes it."""
+"""For each format, the suffix of the recording's name if --out is missing, and the function that begins the export."""
 
 
 def _touch_names(calibration: Calibration, profile: str) -> tuple[str, ...]:
-    """The quantities of a touch: those that were labelled, or what is known without labels."""
+    """The names of a touch's quantities: those learned from labels, or those known without labels."""
     return calibration.touch[profile].names if profile in calibration.touch else PLAIN
 
 
@@ -142,21 +142,21 @@ def _beside(recording: Path, to: str) -> Path:
 
 
 def _calibration(recording: Path, given: Path | None) -> Calibration:
-    """The one that is given, or the recording's own."""
+    """Return the given calibration, or else the recording's own. Raises ConfigError if there is neither."""
     if given is not None:
         return calibrations.load(given)
     if (own := calibrations.of_recording(recording)) is None:
-        raise ConfigError(f"{recording}: found no {CALIBRATION_NAME} in it, expected one, or --calibration CAL.npz")
+        raise ConfigError(f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz")
     return own
 
 
 def _sensor_id(content: dict[str, bytes]) -> str:
-    """Of the settings that the recording was made with."""
+    """Return the sensor's id in the recording's settings, or `SENSOR_ID` if they are missing or unreadable."""
     from tacshade_edge.factories.hand_recordings import recorded_settings
 
     try:
         settings = recorded_settings(content)
-    except ConfigError:  # of another version of this program
+    except ConfigError:  # the settings of another version of this program
         return SENSOR_ID
     return SENSOR_ID if settings is None else settings.sensor_id
 

@@ -1,4 +1,4 @@
-"""``tacshade-edge reconstruct``: images to height maps, clouds and a summary."""
+"""``tacshade-edge reconstruct``: turns images into height maps, clouds and a summary."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct every image; one that is unreadable or invalid is named and the others go on."""
+    """Reconstruct every image; report each unreadable or invalid one, continue, and then return 1."""
     stems = [path.stem for path in args.images]
     twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
     if twice is not None:
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             if args.plot:
                 write_panel(args.out / f"{path.stem}.png", image, result, calibration.geometry)
             records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
-            if not result.valid:  # its record says so too, and its height is 0 everywhere
+            if not result.valid:  # its record reports this too, and its height is 0 everywhere
                 progress.say(f"tacshade-edge: {path}: invalid: {text_of(result.reason)}")
                 invalid += 1
             progress("images", index + 1, len(args.images))
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
-    """One step with the time of each stage."""
+    """Reconstruct a frame and return the result with the time of each stage and in total, in ms."""
     elapsed_ms: dict[str, float] = {}
     last = time.perf_counter_ns()
     start = last

@@ -1,4 +1,4 @@
-"""``tacshade-edge record``: asks the running daemon for a recording, and waits for it."""
+"""``tacshade-edge record``: requests a recording from the running daemon and waits until it is complete."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record; 1 when something else than the time or a person ended it, or no frame came."""
+    """Record. Raises DeviceError if anything except the time or a user ended the recording, or if no frame came."""
     document = load(args.config, args.sensor)
     links.check_broker_files(document)
     stop = threading.Event()
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         caller.start()
         name = {} if args.name is None else {"name": args.name}
-        format_ = {} if args.format == "folder" else {"format": args.format}  # an older daemon knows no other
+        format_ = {} if args.format == "folder" else {"format": args.format}  # older daemons do not know the key
         folder = caller.ask({"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S)["folder"]
         ended = _follow(caller, folder, args.seconds, stop)
     finally:
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
     early = f" ({ended['ending']})" if ended["ending_code"] != ReasonCode.TIME else ""
     print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}")
-    if reason := ended.get("reason"):  # as `status/recorder` has it
+    if reason := ended.get("reason"):  # as in `status/recorder`
         raise DeviceError(f"{folder}: stopped: {reason}; the frames written so far are kept")
     if ended["frames"] == 0:
         raise DeviceError(f"{folder}: received no frame")
@@ -90,7 +90,7 @@ _seconds.__name__ = "number"  # argparse's messages show it
 
 
 def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
-    """Show how it goes until it is over; what the daemon said of it last."""
+    """Show the recording's progress until it is over; return the daemon's last status of it."""
     live = sys.stderr.isatty()
     deadline_s = time.monotonic() + seconds + WRITTEN_S
     try:
@@ -106,7 +106,7 @@ def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Eve
             caller.wait_for(stop.is_set, PERIOD_S)
         try:
             return caller.ask({"action": "stop"}, WRITTEN_S)
-        except DeviceError:  # it may have ended by itself just now
+        except DeviceError:  # it may have just ended by itself
             return _last_words(caller, folder)
     finally:
         if live:
@@ -114,7 +114,7 @@ def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Eve
 
 
 def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
-    """What was reported of a recording that must be over. Raises DeviceError."""
+    """Return the last status of a recording that must be over. Raises DeviceError if the daemon does not report it."""
     if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"
@@ -128,7 +128,7 @@ def _over(status: dict[str, Any]) -> bool:
 
 
 def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
-    """``status/recorder`` of this recording; empty before it comes."""
+    """Return the ``status/recorder`` of this recording; empty until it arrives."""
     try:
         status = decode_object(STATUS, caller.latest(STATUS) or b"{}")
     except DecodeError:

@@ -1,4 +1,4 @@
-"""``tacshade-edge replay``: a recording through the reconstructor, to files, to a broker, or both."""
+"""``tacshade-edge replay``: reconstructs a recording again, to files, to a broker, or both."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, then compare."""
+    """Replay a recording, compare two runs, or both; return 1 if the runs differ."""
     _check(args, args.refuse)
     code = 0
     if args.input is not None:
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
-    """What argparse cannot say; `refuse` exits with 2."""
+    """Check the combinations of arguments that argparse cannot; `refuse` exits with 2."""
     if args.against is not None and args.out is None:
         refuse("--against: found no --out DIR to compare with, expected both")
     if args.input is None:
@@ -122,7 +122,7 @@ def _replay(args: argparse.Namespace) -> int:
         _report(recording.damage)
     given = args.calibration
     calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
-    assert calibration is not None  # `_check` has looked
+    assert calibration is not None  # `_check` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
@@ -143,7 +143,7 @@ def _replay(args: argparse.Namespace) -> int:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)
             sinks.append(writer.add)
-        # Of the frames that were delivered, so it is one behind. A person plays frames as often as he likes.
+        # `progress` counts a frame after all sinks, so add one. With --play, the user may repeat frames: no total.
         total = None if args.play else recording.frames
         sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
         try:
@@ -199,7 +199,7 @@ def _report(line: str) -> None:
 
 
 def positive(text: str) -> float:
-    """A finite number over 0, for argparse."""
+    """Return a number above 0 and at most a million, for argparse."""
     value = float(text)
     if not (math.isfinite(value) and 0 < value <= 1e6):
         raise argparse.ArgumentTypeError(f"found {text}, expected a number above 0 and at most a million")

@@ -1,4 +1,4 @@
-"""``tacshade-edge run``: the daemon."""
+"""``tacshade-edge run``: runs the daemon."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up.
 
-    With several sensors in the file this goes on in a process for each.
+    With several sensors in the file, it continues in a separate process for each.
     """
     start_logging(args.log_level)
     documents = load_all(args.config)
     document, siblings = documents[0], ALONE
     if document.several:
-        from tacshade_edge.daemon.hand import process  # needed nowhere else, and by no single sensor
+        from tacshade_edge.daemon.hand import process  # only a hand or several sensors need it
         from tacshade_edge.daemon.hand.lines import Lines
 
         hand = load_hand(args.config)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _shared_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
-    """Imported only where a robot is."""
+    """Return the serial lines that sensors share, by sensor; import them only if the settings name a robot."""
     if not any(document.settings.serial for document in documents):
         return {}
     from tacshade_edge.daemon.robot.shared_line import share_lines

@@ -1,4 +1,4 @@
-"""``tacshade-edge simulate``: simulated images with ground truth, a calibration set, or a scanned touchpad."""
+"""``tacshade-edge simulate``: writes simulated images with ground truth, a calibration set, or a scanned touchpad."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.types import U8
 
 REFERENCES = 8
-"""Reference images in a calibration set."""
+"""Number of reference images in a calibration set."""
 
 PRESS_KEYS = (
     *("depth_mm", "x_mm", "y_mm", "rotation_deg", "tilt_x_deg", "tilt_y_deg"),
     *("drag_x_mm", "drag_y_mm", "twist_deg"),
 )
-"""What is said of a press, in ``scenes.csv`` and beside the truth."""
+"""Values that describe a press, in ``scenes.csv`` and in the file of its ground truth."""
 
 _SETTINGS = """\
 calibration: calibration.npz
@@ -41,7 +41,7 @@ source: {kind: simulated}
 recorder: {folder: recordings}
 """
 
-_SEED_STRIDE = 1000  # every image of a set has a noise seed of its own
+_SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
 _PAD_SEED = 500_000
 
 
@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write what was asked for; one summary line for each."""
+    """Write the requested folders, and print a summary line for each."""
     if args.out is None and args.calibration_set is None and args.pad is None:
         args.usage_error("expected --out DIR, --calibration-set DIR or --pad DIR")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
@@ -183,7 +183,7 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"), rows)
     print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
-    if model == SensorModel():  # the one that `source: {kind: simulated}` shows
+    if model == SensorModel():  # the one that `source: {kind: simulated}` simulates
         (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
         at = shlex.quote(str(folder))
         words = f"--sensor {at}/SENSOR.yaml --reference {at}/reference_*.png --presses {at}/PRESSES.csv"

@@ -1,4 +1,4 @@
-"""``simulate --pad``: a simulated robot presses the touchpad of the paper's Fig. 7 all over."""
+"""``simulate --pad``: a simulated robot presses all over the touchpad of the paper's Fig. 7."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from tacshade_edge.storage.tables.poses_table import HEADER
 from tacshade_edge.studies.parallel import reported_map, workers
 
 TRUTH_STEP_MM = 0.25
-# Of the poses in POSES_NOISY.csv: Gaussian, in every axis and about a random axis through the skin's apex.
+# Standard deviations of the noise in POSES_NOISY.csv: along each axis, and about a random one through the skin's apex.
 NOISE_MM, NOISE_DEG = 0.3, 1.0
-# Of `--pad-varied`: up to so much deeper or shallower, and tilted by up to so much.
+# Limits of `--pad-varied`: how much deeper or shallower, and how far tilted, a press may be.
 VARIED_MM, VARIED_DEG = 0.4, 6.0
 
 
@@ -75,7 +75,7 @@ def _sensor(model: SensorModel) -> SimulatedSensor:
 
 
 def _image(task: _Task) -> bytes:
-    """A press as a PNG file."""
+    """Return the image of a press as the bytes of a PNG file."""
     shape = pads.touchpad().under(from_seven(task.pose), task.model.skin_radius_mm)
     image = _sensor(task.model).frame((Press(shape, 0.0, 0.0, 0.0),), task.noise_seed).image
     return bytes(cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, 3))[1].tobytes())
@@ -86,7 +86,7 @@ def _write_poses(path: Path, names: Sequence[str], poses: Sequence[Rigid]) -> No
         writer = csv.writer(file)
         writer.writerow(HEADER)
         for name, pose in zip(names, poses, strict=True):
-            # The sensor is the flange: SENSOR.yaml of `--calibration-set` has no flange_T_sensor.
+            # Sensor and flange coincide: the SENSOR.yaml of `--calibration-set` has no flange_T_sensor.
             writer.writerow((name, *(f"{v:.6f}" for v in pose.seven())))
 
 

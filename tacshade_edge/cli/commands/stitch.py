@@ -1,4 +1,4 @@
-"""``tacshade-edge stitch``: images and the robot's poses, or a recording of both, to one large map."""
+"""``tacshade-edge stitch``: combines images and the robot's poses, or a recording of both, into one large map."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="INPUT",
         help="a recording that `replay` can read; each settled contact is a press",
     )
-    add_profile(parser, default="accurate")  # no one waits for a map
+    add_profile(parser, default="accurate")  # a map may take longer
     parser.add_argument(
         "--out",
         type=Path,
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
+    """Stitch; map.json lists unusable presses, and stderr also lists unreadable images, for which it returns 1."""
     if args.find_flange and args.truth is not None:
         raise ConfigError("--truth: found it with --find-flange, which makes no map; expected only one of the two")
     calibration = calibrations.load(args.calibration)

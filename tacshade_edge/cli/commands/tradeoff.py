@@ -1,4 +1,4 @@
-"""``tacshade-edge tradeoff``: speed against accuracy of the profiles and of what differs from them, on this machine."""
+"""``tacshade-edge tradeoff``: measures speed against accuracy of the profiles and their variants on this machine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tacshade_edge.studies.tradeoff.work import weigh_and_time
 
 SENSORS = "default,5"
 BUSY = 1.1
-"""From so many times the processor time on, the machine was not this command's alone."""
+"""Ratio of wall time to processor time above which other programs kept the machine busy."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure; print the tables and the settings, write the files."""
+    """Measure, print the tables and the settings, and write the files."""
     if args.report:
         return _report(args)
     mistakes: list[str] = []
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    """The same measurement on every board, of what a user can choose by name."""
+    """Measure the shipped profiles in the same way on every board, and print a report."""
     for name in ("profile", "out", "calibration", "images", "budget_ms", "cluster", "sensors", "objects"):
         if getattr(args, name) is not None:
             args.usage_error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
@@ -107,7 +107,7 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) -> bool:
-    """Print the settings for a budget; where none keeps it, say so and return False."""
+    """Print the settings for a budget; if no profile keeps it, print that and return False."""
     block = budget.settings_block(found, budget_ms)
     if block is None:
         print(f"tacshade-edge: {budget.over_budget(found, budget_ms)}", file=sys.stderr)

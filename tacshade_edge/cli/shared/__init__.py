@@ -1,1 +1,1 @@
-"""What commands share: log, progress, options."""
+"""Parts that several commands share: log, progress, options."""

@@ -1,4 +1,4 @@
-"""Addresses as options."""
+"""Network addresses as command-line options."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 
 def address(default_port: int | None = None) -> Callable[[str], tuple[str, int]]:
-    """Read HOST:PORT; with a default port HOST alone too, and port 0."""
+    """Return an argparse type that reads HOST:PORT; with a default port, it also accepts HOST alone and port 0."""
 
     def read(text: str) -> tuple[str, int]:
         try:

@@ -1,4 +1,4 @@
-"""What opens the dashboard to others: its token and its certificate."""
+"""Access to the dashboard from other machines: its token and its certificate."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Final
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.regular_files import read_regular
 
-_TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")  # as it stands in an address and in a cookie
+_TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")  # valid in a URL and in a cookie
 _TOKEN_BYTES: Final = 24
 _FILE_BYTES_MAX: Final = 4096
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches an address; of a name but ``localhost`` that is not known."""
+    """Whether only this machine can reach an address; False for any name except ``localhost``."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -27,7 +27,7 @@ def is_loopback(host: str) -> bool:
 
 
 def read_token(path: Path) -> str | None:
-    """The token in a file; None where there is no file. Raises ConfigError."""
+    """Return the token in a file, or None if there is no file. Raises ConfigError."""
     try:
         text = read_regular(path, _FILE_BYTES_MAX).decode("ascii", "replace").strip()
     except FileNotFoundError:
@@ -40,7 +40,7 @@ def read_token(path: Path) -> str | None:
 
 
 def make_token(path: Path | None) -> str:
-    """A new token, kept in a file that only this user can read; without one until the program ends.
+    """Return a new token and, given a path, write it to a new file that only this user can read.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def make_token(path: Path | None) -> str:
 
 
 def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
-    """What serves over TLS; None without a certificate. Raises ConfigError."""
+    """Return the TLS context of the server, or None without a certificate. Raises ConfigError."""
     if certificate is None:
         if key is not None:
             raise ConfigError(f"--key {key}: found no --certificate, expected both")
@@ -69,7 +69,7 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
     try:
-        # Asked for a password, OpenSSL would wait at the terminal.
+        # Without this password, OpenSSL would prompt for one at the terminal if the key is encrypted.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
         reason = (

@@ -1,4 +1,4 @@
-"""``tacshade-edge stitch --find-flange``: where the sensor sits on the flange, and the delay of its frames."""
+"""``tacshade-edge stitch --find-flange``: finds the sensor's pose on the flange and the delay of its frames."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from tacshade_edge.storage.stitching.flange_file import FLANGE, write_flange
 
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0
-"""Found farther from the start than it may be off: no place on the flange, a false one."""
+"""Largest plausible distance and rotation from the start; a pose found farther away is wrong."""
 _PLAN = "(docs/how-to/stitching.md has a plan)"
 
 
 def run(
     frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
 ) -> None:
-    """Find, write, print.
+    """Find flange_T_sensor and the delay, write them to `out` and print them.
 
     Raises
     ------
     ConfigError
-        Too few presses, a motion that is missing, or no place near the start at which the presses agree.
+        There are too few presses, a motion is missing, or the presses agree at no pose near the start.
     """
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:

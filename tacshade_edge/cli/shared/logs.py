@@ -1,7 +1,7 @@
-"""The log of `run` and `dashboard`: each message one line, and no message so often that it hides the others.
+"""The log of long-running commands: one line per message, and repeated messages are limited so they hide no others.
 
-What is logged holds text of others: topics, requests, file names, headers. It is escaped here, in one place, so that
-no text can look like a line of its own or command a terminal.
+Messages contain text from outside: topics, requests, file names, headers. The log's handler escapes all of it, so that
+no text can look like a separate line or send commands to a terminal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tacshade_edge.quoting import escaped
 
 AT_ONCE: Final = 10
 PERIOD_S: Final = 10.0
-"""Of one kind of message so many at once, then one in so long."""
+"""Limit on one kind of message: AT_ONCE in a burst, then one per PERIOD_S."""
 
 _KINDS_MAX: Final = 256
 
@@ -38,9 +38,9 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
 
 
 def start_logging(level: int, sensor_id: str = "") -> None:
-    """Log to stderr, with time stamps unless the journal makes its own; again, with a sensor's id in each line."""
+    """Log to stderr, with time stamps unless the journal adds them and with `sensor_id`, if given, in each line."""
     logging.basicConfig(level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True)
-    # Theirs would be a line for every packet, with what is in it.
+    # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
         logging.getLogger(name).setLevel(max(level, logging.INFO))
 
@@ -61,13 +61,13 @@ class _Kind:
 
 
 class Limit:
-    """Which messages are too many. Not locked: its handler guards it."""
+    """Decides which messages are too many. Not thread-safe: its handler's lock guards it."""
 
     def __init__(self) -> None:
         self._kinds: dict[tuple[str, str], _Kind] = {}
 
     def passes(self, kind: tuple[str, str], now_s: float) -> bool:
-        """Whether one more of a kind is logged; it is counted if not."""
+        """Whether to log one more message of a kind; if not, count it as left out."""
         if kind not in self._kinds and len(self._kinds) >= _KINDS_MAX:
             kind = kind[0], ""
         state = self._kinds.setdefault(kind, _Kind(AT_ONCE, now_s))
@@ -80,7 +80,7 @@ class Limit:
         return True
 
     def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[tuple[str, str], int]]:
-        """What was left out and is over: kinds that one more of would pass, with how many. They count from 0 again."""
+        """Return and reset the counts of left-out messages: of all kinds, or of those that would now pass again."""
         over = [
             (kind, state)
             for kind, state in self._kinds.items()
@@ -98,9 +98,9 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     Parameters
     ----------
     stamped : bool
-        With the local time before it, to 1 ms and with its zone.
+        Whether the local time, to 1 ms and with its zone, precedes the level.
     of : str
-        A word before the message, of which letters, digits, - and _ are allowed.
+        A word before the message, made of letters, digits, - and _.
     """
 
     def __init__(self, *, stamped: bool = False, of: str = "") -> None:
@@ -110,14 +110,14 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         self._limit = Limit()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a message, or count it."""
+        """Write a message, or count it as left out."""
         now_s = time.monotonic()
         self._report(now_s)
         if self._limit.passes((record.name, str(record.msg)), now_s):
             super().emit(record)
 
     def close(self) -> None:
-        """Write what was left out."""
+        """Write how many messages were left out, then close."""
         self._report(time.monotonic(), all_of_them=True)
         super().close()
 

@@ -1,4 +1,4 @@
-"""The option ``--profile`` of commands whose results must not depend on how fast the machine is."""
+"""The option ``--profile`` of commands whose results must not depend on the machine's speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 
 
 def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
-    """Declare it."""
+    """Declare ``--profile``."""
     parser.add_argument(
         "--profile",
         type=_fixed,

@@ -1,4 +1,4 @@
-"""How far a long command is, on stderr: one line that renews itself on a terminal, a line every 10 s elsewhere."""
+"""The progress of a long command on stderr: a line that updates itself on a terminal, a line every 10 s elsewhere."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Final, TextIO
 
 PERIOD_S: Final = 10.0
 _TERMINAL_PERIOD_S: Final = 0.1
-_ESTIMATE_AFTER_S: Final = 1.0  # of work, before which nothing is said of the time that is left
+_ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is estimated
 
 
 class Progress:
-    """Shows how many of how many are done, and the time left if the rest goes on as what was done.
+    """Shows how many items are done, of how many, and the remaining time at the mean speed so far.
 
     Parameters
     ----------
     stream : text stream
-        Where it is written.
+        Stream to write to; stderr if None.
     clock : callable
-        Seconds that only grow.
+        Monotonic clock in s.
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -30,18 +30,18 @@ class Progress:
         self._live = self._stream.isatty()
         self._what = ""
         self._began_s = self._said_s = clock()
-        self._is_open = False  # a line on the terminal that has no end yet
+        self._is_open = False  # the terminal's line has not ended yet
 
     def __call__(self, what: str, done: int, total: int | None) -> None:
-        """Say it if it is time.
+        """Report progress if it is time to.
 
         Parameters
         ----------
         what : str
-            What is counted; another one begins anew.
+            Name of the counted items; a different name starts a new count.
         done : int
         total : int or None
-            None where nobody knows.
+            None if unknown.
         """
         now_s = self._clock()
         if what != self._what:
@@ -63,12 +63,12 @@ class Progress:
             print(text, file=self._stream, flush=True)
 
     def say(self, line: str) -> None:
-        """Write a line of its own, over the one that renews itself."""
+        """Write a separate line in place of the one that updates itself."""
         print(f"\r\033[K{line}" if self._is_open else line, file=self._stream, flush=True)
         self._is_open = False
 
     def end(self) -> None:
-        """Nothing more is counted."""
+        """End the line that updates itself."""
         if self._is_open:
             print(file=self._stream, flush=True)
             self._is_open = False
@@ -85,7 +85,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """``40 s``, ``12 min``, ``2 h 5 min``."""
+    """Return a duration as text: ``40 s``, ``12 min``, ``2 h 5 min``."""
     minutes = round(seconds / 60)
     if seconds < 90:
         return f"{seconds:.0f} s"

@@ -1,4 +1,4 @@
-"""What the commands of studies share: options, sensors and objects as words, own images, files."""
+"""Parts that the study commands share: options, names of sensors and objects, the user's own images, output files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def objects(text: str) -> tuple[str, ...]:
 
 
 def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) -> None:
-    """Declare what every study takes; `profiles` says which are taken, `files` which are written."""
+    """Declare the options of every study; their help quotes `profiles`, the default, and `files`, those written."""
     parser.add_argument(
         "--profile",
         nargs="+",
@@ -59,19 +59,19 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Take the workers of another machine, or of many."""
+    """Declare ``--cluster``, to use the workers of other machines."""
     words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the extra cluster)"
     parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
 
 
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
-    """Take simulated sensors and objects by name."""
+    """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
     group.add_argument(
         "--sensors",
         type=sensors,
         metavar="SEED,...",
-        help=f"seeds of the sensors to simulate; the word default is the standard sensor (default: {sensor_names})",
+        help=f"seeds of the sensors to simulate; 'default' selects the standard sensor (default: {sensor_names})",
     )
     group.add_argument(
         "--objects",
@@ -83,12 +83,12 @@ def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_nam
 
 
 def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
-    """Whether a user's own images are to be taken; with them, and with half of them, mistakes end the command.
+    """Whether to use the user's own images; exits with a usage error if their options are incomplete or do not fit.
 
     Parameters
     ----------
     simulated : tuple of str
-        Options that mean nothing to a user's own images.
+        Options that are only for simulated sensors.
     """
     if (args.calibration is None) != (args.images is None):
         args.usage_error("--calibration CAL.npz and --images DIR must be given together")
@@ -101,12 +101,12 @@ def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
 
 
 def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
-    """A user's calibration, his images one by one, and what is wrong with those read so far, each also printed.
+    """The user's calibration, an iterator over the images, and a list that grows with each bad image, also printed.
 
     Raises
     ------
     ConfigError, DeviceError
-        No calibration, no images, or no room for what is found.
+        There is no calibration or no images, or the output folder cannot be made.
     """
     calibration, paths = calibrations.load(args.calibration), images_in(args.images)
     make_folder(args.out)
@@ -121,7 +121,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
 
 
 def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("matplotlib",)) -> bool:
-    """Whether pictures are wanted and can be drawn (nothing is imported); a line where a package is not installed."""
+    """Whether pictures are wanted and can be drawn; imports nothing, and prints a line if a package is missing."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if args.out and missing:
         words = f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}"
@@ -130,16 +130,16 @@ def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("
 
 
 def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None) -> None:
-    """Print the table or, with --json, the document; write both and the rows.
+    """Print the table or, with --json, the document; with --out, write both and the rows.
 
     Parameters
     ----------
     stem : str
-        Of the files' names.
+        Stem of the files' names.
     rows : mapping
-        What follows the stem in a CSV file's name, to its text.
+        From what follows the stem in a CSV file's name to the file's text.
     document : object or None
-        For JSON; NaN is no part of it.
+        Content of the JSON file, without NaN.
     """
     files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
     if document is not None:
@@ -151,7 +151,7 @@ def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, 
 
 
 def make_folder(folder: Path | None) -> None:
-    """Before minutes of work, not after. Raises DeviceError."""
+    """Make the output folder, so that an error comes before minutes of work. Raises DeviceError."""
     if folder is None:
         return
     try:

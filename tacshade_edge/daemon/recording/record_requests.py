@@ -136,7 +136,7 @@ class RecordRequests(FrameObserver):
         except DeviceError as error:
             if error.code != ReasonCode.DISK:
                 raise
-            fix = "set recorder.folder to a folder that the daemon may write"
+            fix = "set recorder.folder to a folder that the daemon can write to"
             raise DeviceError(f"{error}; {fix}", code=error.code) from None
         self._began_s, self._length_s = time.monotonic(), request.seconds
         state = {"state": source.state, **reason_fields(source.reason)}

@@ -243,8 +243,8 @@ class V4l2Source:
             size = raw.size if ok else 0
             self._dropped += 1
         raise DeviceError(
-            f"camera {self._device}: found {_UNDECODABLE_MAX} frames in a row that were not {self._fourcc} of"
-            f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)",
+            f"camera {self._device}: found {_UNDECODABLE_MAX} frames in a row that were not"
+            f" {self._shape[1]}x{self._shape[0]} {self._fourcc} (the last had {size} bytes)",
             code=ReasonCode.DECODE,
         )
 

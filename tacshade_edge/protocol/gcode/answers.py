@@ -1,4 +1,4 @@
-"""Lines that a printer answers, to values."""
+"""Parse the lines that a printer answers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 _NUMBER = rb"(-?\d{1,6}(?:\.\d{1,6})?)"
 _POSITION = re.compile(rb"(?:^|\s)X:\s*%b\s+Y:\s*%b\s+Z:\s*%b(?:\s|$)" % (_NUMBER, _NUMBER, _NUMBER))
 _RESEND = re.compile(rb"(?:resend|rs)[: ]\s*N?\s*(\d{1,9})\s*$", re.IGNORECASE)
-# After a reset noise may stand before the word.
+# After a reset, noise may precede the word.
 _START = re.compile(rb"(?:^|.*[^ -~])start$")
-# Errors that a line came damaged: the printer asks for it again in its next line.
+# Errors that report a damaged line: the printer requests it again in its next line.
 _ASKED_AGAIN = re.compile(rb"error:.*(?:checksum|line number)", re.IGNORECASE)
 _FAILED = re.compile(rb"error:|!!|// klipper state: (?:shutdown|disconnect)|.*unknown command|.*home .*first", re.I)
 _RESTARTED = re.compile(rb"// klipper state: (?:startup|ready)", re.IGNORECASE)
@@ -20,36 +20,36 @@ _OK = re.compile(rb"ok(?![a-z])", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The command was taken."""
+    """The printer accepted the command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """It still does what it was asked, and is there."""
+    """The printer is alive and still executing the command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resend:
-    """It wants the line of this number again."""
+    """The printer requests the line with this number again."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """It cannot do what it was asked, or has stopped."""
+    """The printer cannot execute the command, or has stopped."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """It has forgotten its position."""
+    """The printer restarted and lost its position."""
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where it was sent, mm."""
+    """The position in mm that the printer was sent to."""
 
     x_mm: float
     y_mm: float
@@ -58,7 +58,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Anything else: temperatures, a name, a debug line."""
+    """Any other line: temperatures, a name, a debug line."""
 
     text: str
 
@@ -67,7 +67,7 @@ Answer = Ok | Busy | Resend | Failed | Restarted | Position | Said
 
 
 def parse(line: bytes) -> tuple[Answer, ...]:
-    """What a line says, without its end: nothing, or a position and then its `Ok`, or one thing; never raises."""
+    """Parse a line without its end: no answer, a position and its `Ok`, or one answer; never raises."""
     line = line.strip()
     if not line:
         return ()

@@ -1,4 +1,4 @@
-"""Commands to bytes.
+"""Encode G-code commands for a printer.
 
 References
 ----------
@@ -13,7 +13,7 @@ from operator import xor
 from typing import Final
 
 EMERGENCY_STOP: Final = b"\nM112\n"
-"""Understood at once and without a number; the first end ends whatever was half sent."""
+"""Printers obey it at once and without a line number; the leading line end terminates any half-sent line."""
 
 FIRMWARE: Final = "M115"
 MILLIMETRES: Final = "G21"
@@ -24,23 +24,23 @@ POSITION: Final = "M114"
 
 
 def numbered(number: int, command: str) -> bytes:
-    """A line with its number (0 to 2³¹ - 1) and its checksum, which make a printer ask again for what came damaged."""
+    """A line with its number (0 to 2³¹ - 1) and checksum, so that a printer requests a damaged line again."""
     text = f"N{number} {command}".encode("ascii")
     return text + b"*%d\n" % reduce(xor, text, 0)
 
 
 def first_number(number: int) -> str:
-    """Say that the number of this line counts as `number`."""
+    """The command that sets the printer's current line number to `number`."""
     return f"M110 N{number}"
 
 
 def straight(x_mm: float, y_mm: float, z_mm: float, feed_mm_s: float) -> str:
-    """A straight move to a place, in µm, at a feed that is rounded down to mm/min.
+    """The command for a straight move to a position, rounded to 1 µm, at a feed rounded down to whole mm/min.
 
     Raises
     ------
     ValueError
-        Not a finite place, or no feed above 1 mm/min.
+        The position is not within ±1e6 mm, or the feed is below 1 mm/min.
     """
     feed_mm_min = int(60 * feed_mm_s)
     if feed_mm_min < 1:
@@ -54,8 +54,8 @@ def straight(x_mm: float, y_mm: float, z_mm: float, feed_mm_s: float) -> str:
 
 
 def stay_awake(firmware: str) -> str:
-    """Keep the motors on however long nothing moves: a printer that lets go of them loses its position unseen.
+    """The command that keeps idle motors on: a printer that switches them off loses its position without notice.
 
-    Klipper takes Marlin's command for one that switches them off.
+    Klipper interprets Marlin's command as one that switches them off.
     """
     return "SET_IDLE_TIMEOUT TIMEOUT=86400" if "klipper" in firmware.lower() else "M84 S0"

@@ -1,4 +1,4 @@
-"""One command at a time and what is answered to it, however the bytes are cut."""
+"""Exchange one command at a time with a printer, however the answer's bytes are split."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from tacshade_edge.protocol.gcode.answers import Answer, Busy, Failed, Ok, Posit
 from tacshade_edge.protocol.gcode.commands import first_number, numbered
 
 LINE_BYTES_MAX = 512
-"""What is longer is no printer's."""
+"""The longest line accepted from a printer."""
 
 _RESENDS_MAX = 3
 
 
 class Exchange:
-    """The host's end of the line; it knows no time.
+    """The host's end of the line, without a clock.
 
     Attributes
     ----------
     is_done : bool
-        The command was answered.
+        Whether the printer has answered the command.
     failure : str
-        Why nothing can be believed any more; empty while it can. It stays.
+        Why the printer can no longer be trusted; empty while it can. It persists until `begin_anew`.
     has_restarted : bool
-        It did so at some time since this was made, also where it was begun anew after that.
+        Whether the printer has ever restarted; `begin_anew` does not clear it.
     position : Position or None
-        What the printer answered of it.
+        The position in the printer's answer.
     said : tuple of str
-        What else was said since the command, at most `_SAID_MAX` lines.
+        The other lines since the command, at most `_SAID_MAX`.
     busy : int
-        How often it said that it is busy.
+        How often the printer reported that it is busy.
     """
 
     _SAID_MAX = 32
@@ -48,13 +48,13 @@ class Exchange:
         self.busy = 0
 
     def begin_anew(self) -> bytes:
-        """Begin at line 0, whatever was before: what to send. Only where nothing moves."""
+        """Restart at line 0 and return the bytes to send; call this only while nothing moves."""
         self._number, self.failure, self._buffer = -1, "", b""
         self.is_done = True
         return self.begin(first_number(0))
 
     def begin(self, command: str) -> bytes:
-        """Take the next command: what to send. Raises RuntimeError while another is not done, or after a failure."""
+        """Return the bytes of the next command. Raises RuntimeError while another is not done, or after a failure."""
         if not self.is_done or self.failure:
             raise RuntimeError(f"{command}: {self.failure or 'the printer has not answered the command before it'}")
         self._number += 1
@@ -64,7 +64,7 @@ class Exchange:
         return self._line
 
     def receive(self, data: bytes) -> bytes:
-        """Understand what came: what to send again, or nothing."""
+        """Process received bytes; return the line to send again, or nothing."""
         again = b""
         for line in self._lines(data):
             for answer in parse(line):
@@ -102,7 +102,7 @@ class Exchange:
     def _take_ok(self) -> bytes:
         if self.is_done:
             self._fail("it answered although no command was open")
-        elif self._resend_wanted:  # this one ends the answer to the damaged line, and the line's own is to come
+        elif self._resend_wanted:  # this Ok ends the answer to the damaged line; the resent line gets its own
             self._resend_wanted = False
             return self._line
         else:

@@ -1,4 +1,4 @@
-"""The texts of ``OK``, ``ERR`` and ``EVT`` lines: typed results, reasons and events, encoded once."""
+"""Encode typed results, reasons and events as the texts of ``OK``, ``ERR`` and ``EVT`` lines."""
 
 from __future__ import annotations
 
@@ -52,27 +52,27 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     ReasonCode.MAP_FULL: "FULL",
     ReasonCode.NO_PRESS: "EMPTY",
 }
-"""The word of each code on the line, and at the beginning of the error of ``res/stitch``."""
+"""The word of each code on the serial line, and at the beginning of an error of ``res/stitch``."""
 _OTHERWISE: Final = "REFUSED"
 
 
 @dataclass(frozen=True, slots=True)
 class PortOpened:
-    """The port was opened; after having been away for so long, or 0."""
+    """The port was opened after an absence of `away_ms`, or 0."""
 
     away_ms: int
 
 
 @dataclass(frozen=True, slots=True)
 class PosesMissing:
-    """So many poses are missing by their numbers."""
+    """Poses are missing, `poses` of them by their numbers."""
 
     poses: int
 
 
 @dataclass(frozen=True, slots=True)
 class SyncChanged:
-    """What is known of the robot's clock changed."""
+    """The state of the robot's clock changed."""
 
     mode: str
     error_us: int
@@ -82,7 +82,7 @@ LinkEvent = PortOpened | PosesMissing | SyncChanged | TouchSeen
 
 
 def result_text(result: SerialResult) -> str:
-    """What follows ``OK seq``: docs/reference/serial.md has each."""
+    """The text after ``OK seq``; docs/reference/serial.md describes each."""
     match result:
         case ClockRead():
             return f"{result.t2_ns} {result.t3_ns}"
@@ -133,7 +133,7 @@ def error_word(code: ReasonCode) -> str:
 
 
 def error_text(reason: Reason, verb: str = "") -> str:
-    """What follows ``ERR seq``: the code's word and the text; ``REFERENCE`` has one word for all other reasons."""
+    """The text after ``ERR seq``: the code's word and its text; for ``REFERENCE``, most reasons share one word."""
     refused = verb == "REFERENCE" and reason.code is not ReasonCode.NOT_CALIBRATED
     word = _OTHERWISE if refused else error_word(reason.code)
     return f"{word} {reason.text}"
@@ -163,10 +163,10 @@ def event_text(event: LinkEvent) -> str:
 
 
 def seq_text(seq: int | None) -> str:
-    """A command's number, or ``-`` where it has none."""
+    """A command's number, or ``-`` if it has none."""
     return "-" if seq is None else str(seq)
 
 
 def printable(text: str) -> str:
-    """`text` in printable ASCII, and short enough for a line with its checksum."""
+    """Convert `text` to printable ASCII and shorten it to fit on a line with its checksum."""
     return "".join(c if " " <= c <= "~" and c != "*" else "?" for c in text[: LINE_BYTES_MAX - 6])

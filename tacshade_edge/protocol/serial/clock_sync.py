@@ -1,14 +1,14 @@
-"""The robot's clock against the daemon's: daemon = robot + offset, the offset a line over time.
+"""Synchronise the robot's clock with the daemon's: daemon = robot + offset, where the offset is a line over time.
 
-With ``SYNC`` (two-way) every exchange has four times, t1 and t4 of the robot and t2 and t3 of the daemon. Its offset
-((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the line does (NTP's on-wire protocol,
+With ``SYNC`` (two-way), every exchange has four times, t1 and t4 of the robot and t2 and t3 of the daemon. Its offset
+((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the cable does (NTP's on-wire protocol,
 RFC 5905 section 8). As NTP's clock filter prefers the samples of least delay (RFC 5905 section 10), the line is fitted
-to the quarter of the latest exchanges with the shortest round trips, and what breaks that bound is a clock that jumped.
+to the quarter of the latest exchanges with the shortest round trips; an exchange beyond that bound shows a clock jump.
 
-Without (one-way) only arrivals are known, and the least delay of them: a line under all of them, from their lower
+Without ``SYNC`` (one-way), only times of arrival are known: the offset is a line under all delays, from their lower
 convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM
-1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002). What the least
-delay itself is cannot be seen from one side, and is stated as `ONE_WAY_LATENCY_NS`.
+1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002). One side alone
+cannot measure the least delay itself; it is assumed to be at most `ONE_WAY_LATENCY_NS`.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ SyncMode = Literal["none", "oneway", "two-way"]
 EXCHANGES_KEPT: Final = 60
 EXCHANGE_AGE_MAX_NS: Final = 300_000_000_000
 BEST_FRACTION, BEST_MIN = 1 / 4, 4  # of the exchanges
-TWO_WAY_ERROR_MAX_NS: Final = 20_000_000  # of a line that no exchange has renewed: then arrivals know better
-DRIFT_EXPECTED: Final = 1e-3  # of a resonator; a crystal has a tenth of it
+TWO_WAY_ERROR_MAX_NS: Final = 20_000_000  # of a line without new exchanges; beyond it, arrivals are more accurate
+DRIFT_EXPECTED: Final = 1e-3  # of a ceramic resonator; a crystal has a tenth of it
 TOLERANCE_NS: Final = 20_000  # reading a clock
 DRIFT_REPORTED_PPM: Final = 500.0
 ONE_WAY_LATENCY_NS: Final = 2_000_000
 BUCKET_NS: Final = 1_000_000_000
 BUCKETS_KEPT: Final = 60
-LATE_NS: Final = 50_000_000  # so much later than the envelope for so many buckets: the clock was set back
+LATE_NS: Final = 50_000_000  # this much later than the envelope for `LATE_BUCKETS`: the clock was set back
 LATE_BUCKETS: Final = 3
-BACKWARDS_NS: Final = 1_000_000_000  # a robot's time that goes back by more began anew
+BACKWARDS_NS: Final = 1_000_000_000  # a robot's time that goes back by more has restarted
 
 
 @dataclass(frozen=True, slots=True)
 class ConvertedTime:
-    """A time of one clock, from the other's, and how far it may be off."""
+    """A time converted from one clock to the other, with its error bound."""
 
     t_ns: int
     error_ns: int
@@ -54,13 +54,13 @@ class SyncState:
     ----------
     mode : str
     reason : Reason or None
-        Why it is not known, or what is odd with it.
+        Why the clock is unknown, or what is wrong with it.
     offset_ns : int
         Daemon minus robot, now; 0 with ``none``.
     drift_ppm : float
-        By how much the robot's clock is slow.
+        How slow the robot's clock is, in ppm.
     error_us : int
-        The stated error, now; 0 with ``none``.
+        The error bound, now; 0 with ``none``.
     """
 
     mode: SyncMode
@@ -72,11 +72,11 @@ class SyncState:
 
 @dataclass(slots=True)
 class SyncCounts:
-    """Since the start."""
+    """Counts since the start."""
 
     exchanges: int = 0
-    exchanges_refused: int = 0  # their times contradict themselves
-    outliers: int = 0  # one exchange against those before and after
+    exchanges_refused: int = 0  # their times are contradictory
+    outliers: int = 0  # single exchanges that contradict those before and after
     restarts: int = 0  # the clock jumped, went back, or the robot restarted
 
 
@@ -89,7 +89,7 @@ class _Exchange:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """Offset of the daemon's clock at a robot's time; base and rest apart, since a float has 53 bits."""
+    """Offset of the daemon's clock at a robot's time; base and rest are separate because a float has 53 bits."""
 
     at_ns: int
     base_ns: int
@@ -114,7 +114,7 @@ class _Line:
 
 
 class ClockSync:
-    """One robot's clock.
+    """The synchronisation with one robot's clock.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class ClockSync:
     def __init__(self) -> None:
         self.counts = SyncCounts()
         self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
-        self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC, whose t4 comes with the next
+        self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC; t4 comes with the next
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
         self._suspect: _Exchange | None = None
         self._two_way: _Line | None = None
@@ -134,13 +134,13 @@ class ClockSync:
         self._newest_ns: int | None = None
 
     def restart(self, reason: Reason) -> None:
-        """Forget what was known of the clock."""
+        """Forget the clock, for the given reason."""
         self._forget()
         self._reason_none = reason
         self.counts.restarts += 1
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """A ``SYNC t1 [t4]`` arrived at `t2_ns`; t4 completes the exchange before. `sync_answered` must follow."""
+        """Take a ``SYNC t1 [t4]`` that arrived at `t2_ns`; t4 completes the previous exchange. Then `sync_answered`."""
         before, self._open = self._open, (t1_ns, t2_ns, t2_ns)
         if t4_ns is not None and before is not None:
             first_ns, received_ns, sent_ns = before
@@ -153,12 +153,12 @@ class ClockSync:
         self._advance(t1_ns)
 
     def sync_answered(self, t3_ns: int) -> None:
-        """The reply to the latest ``SYNC`` was given to the port at `t3_ns`."""
+        """Take the time `t3_ns` at which the port got the reply to the latest ``SYNC``."""
         if self._open is not None:
             self._open = (*self._open[:2], t3_ns)
 
     def stamp_received(self, robot_ns: int, arrived_ns: int) -> None:
-        """What the robot stamped with `robot_ns` arrived: one more delay, and maybe a clock that jumped forward."""
+        """Take the arrival of a message stamped `robot_ns`: one more delay, which may show that the clock jumped."""
         if (line := self._two_way) is not None:
             local = line.local(robot_ns)
             if local.t_ns - local.error_ns - TOLERANCE_NS > arrived_ns:
@@ -183,12 +183,12 @@ class ClockSync:
                 self._one_way = _lower_line([*self._buckets, (robot_ns, delay_ns)])
 
     def to_robot(self, local_ns: int) -> ConvertedTime | None:
-        """What the robot's clock shows at a time of the daemon's; None while it is not known."""
+        """The time of the robot's clock at a time of the daemon's; None while the clock is unknown."""
         line = self._line()
         return line.robot(local_ns) if line else None
 
     def state(self) -> SyncState:
-        """How it is at the robot's newest time."""
+        """The state at the robot's newest time."""
         line, newest_ns = self._line(), self._newest_ns
         if line is None or newest_ns is None:
             return SyncState("none", self._reason_none, 0, 0.0, 0)
@@ -215,7 +215,7 @@ class ClockSync:
         self._buckets.clear()
 
     def _advance(self, robot_ns: int) -> None:
-        """Take note of the robot's time; one that goes back is a clock that was set."""
+        """Note the robot's time; a time that goes back shows that the clock was set."""
         newest_ns = self._newest_ns
         if newest_ns is not None and newest_ns - robot_ns > BACKWARDS_NS:
             exchange = self._open
@@ -231,7 +231,7 @@ class ClockSync:
             if suspect is None:
                 self._suspect = exchange
                 return
-            # The second in a row: it is the clock, not the exchange.
+            # Two in a row: the clock is wrong, not the exchange.
             latest = self._open
             self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped"))
             self._open, self._newest_ns = latest, exchange.robot_ns
@@ -247,7 +247,7 @@ class ClockSync:
         self._two_way = _fit_line(self._exchanges)
 
     def _possible(self, exchange: _Exchange) -> bool:
-        """Whether the line so far and half a round trip can explain it."""
+        """Whether the exchange agrees with the line so far, within half its round trip."""
         if self._two_way is None:
             return True
         local = self._two_way.local(exchange.robot_ns)
@@ -270,7 +270,7 @@ class ClockSync:
 
 
 def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
-    """Weighted least squares through the best exchanges: the less, the farther a round trip is from the shortest."""
+    """Fit a line through the best exchanges by least squares; longer round trips get less weight."""
     count = max(math.ceil(len(exchanges) * BEST_FRACTION), min(len(exchanges), BEST_MIN))
     best = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
     least_ns = best[0].round_trip_ns
@@ -282,7 +282,7 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
     y = [float(e.offset_ns - base_ns) for e in best]
     mean_x = sum(w * v for w, v in zip(weights, x, strict=True)) / total
     mean_y = sum(w * v for w, v in zip(weights, y, strict=True)) / total
-    # The drift that clocks have keeps two exchanges a moment apart from making a line of their noise.
+    # The prior on the drift keeps two exchanges in quick succession from turning their noise into a slope.
     information = sum(w * (v - mean_x) ** 2 for w, v in zip(weights, x, strict=True)) + DRIFT_EXPECTED**-2
     slope = sum(w * (v - mean_x) * (u - mean_y) for w, v, u in zip(weights, x, y, strict=True)) / information
     bound_ns = sum(w * e.round_trip_ns for w, e in zip(weights, best, strict=True)) / total / 2
@@ -299,9 +299,9 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
 
 
 def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
-    """The line under all delays that is nearest to them: the edge of their lower convex hull at their mean time.
+    """Fit the closest line under all delays: the edge of their lower convex hull at their mean time.
 
-    It is the one with the least sum of distances (Moon et al. 1999); the hull is Andrew's monotone chain.
+    It has the least sum of distances (Moon et al. 1999); the hull is Andrew's monotone chain.
     """
     first_ns, base_ns = points[0]
     placed = [(float(t_ns - first_ns), float(delay_ns - base_ns)) for t_ns, delay_ns in points]
@@ -314,7 +314,7 @@ def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
     at = next((i for i in range(1, len(hull)) if hull[i][0] >= middle), 0)
     (x0, y0), (x1, y1) = hull[max(at - 1, 0)], hull[at]
     span = x1 - x0
-    # Under ten seconds the slope of an envelope is the noise of two arrivals.
+    # Below ten seconds, the slope of an envelope is the noise of two arrivals.
     slope = max(-DRIFT_EXPECTED, min(DRIFT_EXPECTED, (y1 - y0) / span)) if span >= 10 * BUCKET_NS else 0.0
     rest = min(y - slope * x for x, y in placed)
     above = sorted(y - slope * x - rest for x, y in placed)

@@ -1,6 +1,6 @@
-"""Consistent overhead byte stuffing: any bytes without a zero, so that a zero can end a frame.
+"""Consistent overhead byte stuffing: encodes any bytes without a zero, so that a zero can end a frame.
 
-Cheshire and Baker, IEEE/ACM Transactions on Networking 7 (1999). The zero itself is the caller's.
+Cheshire and Baker, IEEE/ACM Transactions on Networking 7 (1999). The caller adds and removes the zero itself.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ _BLOCK = 254  # bytes after a code of 255, which stands for no zero
 
 
 def encode(data: bytes) -> bytes:
-    """`data` without a zero: one byte longer, and one more for every 254 bytes without a zero."""
+    """Encode `data` without a zero: one byte longer, plus one for every 254 bytes without a zero."""
     out = bytearray()
     runs = data.split(b"\0")
     for number, run in enumerate(runs, 1):
@@ -20,19 +20,19 @@ def encode(data: bytes) -> bytes:
             out.append(255)
             out += run[at : at + _BLOCK]
             at += _BLOCK
-        if at == 0 or at < len(run) or number < len(runs):  # a full block at the very end says it all
+        if at == 0 or at < len(run) or number < len(runs):  # a full block at the very end needs no further code
             out.append(len(run) - at + 1)
             out += run[at:]
     return bytes(out)
 
 
 def decode(data: bytes) -> bytes:
-    """What `encode` was given.
+    """Decode the output of `encode`.
 
     Raises
     ------
     DecodeError
-        A zero, or a block that is longer than what is left.
+        The data hold a zero, or a block is longer than the rest of the data.
     """
     out = bytearray()
     at, end = 0, len(data)

@@ -1,4 +1,4 @@
-"""From bytes, however they are cut, to whole lines (ASCII) and COBS frames (BIN)."""
+"""Assemble received bytes, however they are split, into whole lines (ASCII) and COBS frames (BIN)."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Unit:
 
 
 class Framing:
-    """What was received and is not a whole line or frame yet.
+    """The received bytes that are not a whole line or frame yet.
 
     Parameters
     ----------
     counts : LinkCounts
-        Garbage is counted there.
+        Counts the garbage.
 
     Attributes
     ----------
     mode : str
-        ``ASCII`` or ``BIN``: of what is received next.
+        ``ASCII`` or ``BIN``: the mode of the next bytes.
     """
 
     def __init__(self, counts: LinkCounts) -> None:
@@ -41,21 +41,21 @@ class Framing:
         self._counts = counts
         self._buffer = b""
         self._skipping = False  # until the next end of a line or frame
-        self._since_zero = b""  # in ASCII: what may turn out to be a binary pose
+        self._since_zero = b""  # in ASCII: bytes that may turn out to be a binary pose
 
     @property
     def buffered_bytes(self) -> int:
-        """How many wait for the rest of their line or frame."""
+        """Number of bytes that wait for the rest of their line or frame."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
-        """Append what was received."""
+        """Append received bytes."""
         if self.mode == "ASCII":
             self._since_zero += data
         self._buffer += data
 
     def next_unit(self) -> Unit | None:
-        """Take the next whole line or frame; None when there is none. It may make the caller `switch` the mode."""
+        """Take the next whole line or frame, or None; in response to it, the caller may `switch` the mode."""
         if self.mode == "ASCII":
             if (line := self._next_line()) is not None:
                 return line
@@ -64,12 +64,12 @@ class Framing:
         return self._next_frame()
 
     def switch(self, mode: Mode) -> None:
-        """Understand what follows in `mode`."""
+        """Read the following bytes in `mode`."""
         if mode != self.mode:
             self.mode, self._since_zero = mode, b""
 
     def clear(self) -> None:
-        """Forget half a line: its other half is lost."""
+        """Discard a partial line, whose rest is lost."""
         self._counts.discard(len(self._buffer))
         self._buffer = self._since_zero = b""
         self._skipping = False
@@ -101,7 +101,7 @@ class Framing:
                 return Unit(raw, is_line=False)
 
     def _is_whole(self, raw: bytes) -> bool:
-        """Whether what ends here has its beginning too."""
+        """Whether the line or frame that ends here has its beginning too."""
         if self._skipping:
             self._skipping = False
             self._counts.garbage_bytes += len(raw)
@@ -109,7 +109,7 @@ class Framing:
         return bool(raw)
 
     def _skip(self, keep: int = 0) -> None:
-        """Give up what is too long, to its end; `keep` bytes stay to be looked at."""
+        """Skip an overlong line or frame up to its end; keep its last `keep` bytes to search."""
         if not self._skipping:
             self._counts.garbage += 1
         self._skipping = True
@@ -117,7 +117,7 @@ class Framing:
         self._buffer = self._buffer[len(self._buffer) - keep :]
 
     def _detect_binary(self) -> bool:
-        """Switch to BIN where a whole binary pose proves that the robot speaks it."""
+        """Switch to BIN if a whole binary pose proves that the robot uses it."""
         *frames, tail = self._since_zero.split(b"\0")
         self._since_zero = tail[-(POSE_FRAME_BYTES + 1) :]
         if (first := first_pose_frame(frames)) is None:

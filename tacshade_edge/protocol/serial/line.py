@@ -1,7 +1,7 @@
-"""One line of the robot's serial channel: bytes to a value and back.
+"""Parse and encode one line of the robot's serial channel.
 
-A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is CRC-16/XMODEM of
-all before the ``*``. docs/reference/serial.md has the whole grammar.
+A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is the CRC-16/XMODEM of
+everything before the ``*``. docs/reference/serial.md has the whole grammar.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _HEAD = re.compile(r"(?:#(\S*) +)?(\S+) *(.*)")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line that was understood.
+    """A parsed line.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Line:
         In capitals.
     args : tuple of str
     text : str
-        All before the ``*``: two lines with the same number and text are one line, sent twice.
+        Everything before the ``*``: two lines with the same number and text are one line, sent twice.
     checked : bool
-        It had a checksum, and the right one.
+        Whether the line had a checksum (a wrong one is rejected).
     """
 
     seq: int | None
@@ -44,23 +44,23 @@ class Line:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/XMODEM: polynomial 0x1021, from 0, not reflected."""
+    """CRC-16/XMODEM: polynomial 0x1021, initial value 0, not reflected."""
     return binascii.crc_hqx(data, 0)
 
 
 def seal(text: str) -> bytes:
-    """The bytes of a line: its checksum and LF added."""
+    """Encode a line with its checksum and LF."""
     raw = text.encode("ascii")
     return b"%s*%04X\n" % (raw, crc16(raw))
 
 
 def parse_line(raw: bytes) -> Line | Reason:
-    """Understand a line without its end.
+    """Parse a line without its end.
 
     Returns
     -------
     Line or Reason
-        Why it is none: NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
+        Why it is not valid: NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
     """
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(

@@ -1,7 +1,7 @@
 """The robot's serial channel without its port: bytes in, commands and poses out; answers in, bytes out.
 
-A link outlives its port: a robot whose cable is plugged in again goes on where it was. What is received decides
-what is answered; no clock, no waiting.
+A link outlives its port: when its cable is plugged in again, the robot continues where it was. Answers depend only on
+the received bytes: there is no clock and no waiting.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from tacshade_edge.protocol.serial.verbs import Command, help_text, parse_comman
 from tacshade_edge.reasons import Reason, ReasonCode
 
 BAD_POSE_PERIOD_NS: Final = 1_000_000_000
-_OURS: Final = frozenset({"OK", "ERR", "EVT"})  # an echo; to answer it would never end
+_OURS: Final = frozenset({"OK", "ERR", "EVT"})  # echoes; answering them would never end
 
 
 @dataclass(frozen=True, slots=True)
 class PoseArrived:
-    """A pose, when it arrived, and how many before it are missing by number."""
+    """A pose, its time of arrival, and how many poses before it are missing by number."""
 
     sample: PoseSample
     arrived_ns: int
@@ -45,7 +45,7 @@ class PoseArrived:
 
 @dataclass(frozen=True, slots=True)
 class Greeted:
-    """A robot began anew: what is known of its clock and its numbers is void. `boot` is empty where it gave none."""
+    """A robot restarted: its clock and its numbers are unknown again. `boot` is empty if the robot gave none."""
 
     boot: str
 
@@ -55,7 +55,7 @@ Received = Command | PoseArrived | Greeted
 
 @dataclass(slots=True)
 class _Session:
-    """From one HELLO to the next."""
+    """The state from one HELLO to the next."""
 
     boot: str = ""
     crc_required: bool = False
@@ -85,11 +85,11 @@ class SerialLink:
 
     @property
     def buffered_bytes(self) -> int:
-        """How many wait for the rest of their line or frame."""
+        """Number of bytes that wait for the rest of their line or frame."""
         return self._framing.buffered_bytes
 
     def receive(self, data: bytes, now_ns: int) -> list[Received]:
-        """Understand the next bytes, however they are cut.
+        """Process the next bytes, however they are split.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class SerialLink:
 
         Returns
         -------
-        What somebody else must do, in order; each `Command` wants one `answer`, now or later.
+        The caller's tasks, in order; each `Command` needs one `answer`, now or later.
         """
         self.counts.bytes += len(data)
         self._framing.feed(data)
@@ -109,21 +109,21 @@ class SerialLink:
         return received
 
     def answer(self, command: Command, outcome: SerialResult | Reason) -> None:
-        """Answer ``OK`` or ``ERR``; not a command of a session that is over: its number may mean another now."""
+        """Answer ``OK`` or ``ERR``; ignore a command of an earlier session, whose number may mean another one now."""
         text = answer_text(command.seq, outcome, command.verb)
         if command.seq is None or self._session.replies.keep(command.seq, command, text):
             self._output.send(text)
 
     def notify(self, event: LinkEvent) -> None:
-        """Send an ``EVT``, which nobody asked for."""
+        """Send an unsolicited ``EVT``."""
         self._output.send(event_text(event))
 
     def take_output(self) -> bytes:
-        """What to write to the port, once."""
+        """Return the bytes to write to the port and forget them."""
         return self._output.take()
 
     def interrupted(self) -> None:
-        """The port was lost: half a line is none. All else goes on."""
+        """Discard partial input and pending output after the port was lost; keep everything else."""
         self._framing.clear()
         self._output.take()
 
@@ -187,7 +187,7 @@ class SerialLink:
         yield PoseArrived(sample, now_ns, missing)
 
     def _bad_pose(self, seq: int | None, text: str, now_ns: int) -> None:
-        """Poses are not answered; a developer still learns what is wrong, once a second."""
+        """Report a bad pose at most once a second: poses get no answer, but developers must learn what is wrong."""
         self.counts.poses_bad += 1
         answered_ns = self._bad_pose_answered_ns
         if answered_ns is None or now_ns - answered_ns >= BAD_POSE_PERIOD_NS:
@@ -199,7 +199,7 @@ class SerialLink:
         if isinstance(hello, Reason):
             self._output.refuse(line.seq, hello)
             return
-        if not hello.boot or hello.boot != self._session.boot:  # else the same HELLO again: the numbers stay known
+        if not hello.boot or hello.boot != self._session.boot:  # otherwise a repeated HELLO: the numbers stay known
             self._session = _Session(hello.boot, replies=ReplyCache(line.seq))
             self._poses = PoseSequence()
             yield Greeted(hello.boot)
@@ -240,7 +240,7 @@ class SerialLink:
         if seq is not None:
             self._session.replies.keep(seq, None, f"OK {seq} {mode}")
         self._output.accept(seq, mode)  # still in the old mode
-        self._framing.switch(mode)  # all that was received after this line is in the new one already
+        self._framing.switch(mode)  # the bytes received after this line are in the new one already
 
 
 def _undamaged(raw: bytes) -> bool:

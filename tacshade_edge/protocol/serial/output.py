@@ -1,4 +1,4 @@
-"""What is written to the robot: sealed lines, framed as the mode asks."""
+"""The output to the robot: sealed lines, framed for the current mode."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from tacshade_edge.reasons import Reason
 
 
 class Output:
-    """Lines until the port takes them.
+    """Keeps lines until the port takes them.
 
     Parameters
     ----------
     framing : Framing
-        Its mode is that of the lines.
+        Provides the mode of the lines.
     counts : LinkCounts
     """
 
@@ -29,7 +29,7 @@ class Output:
         self.send(printable(f"OK {seq_text(seq)} {text}"))
 
     def refuse(self, seq: int | None, reason: Reason) -> None:
-        """Answer ``ERR`` to a line that was not handed out."""
+        """Answer ``ERR`` to a line that was not passed on as a command."""
         self._counts.refused += 1
         self.send(printable(f"ERR {seq_text(seq)} {error_text(reason)}"))
 
@@ -39,7 +39,7 @@ class Output:
         self._waiting += line if self._framing.mode == "ASCII" else cobs.encode(b"L" + line[:-1]) + b"\0"
 
     def take(self) -> bytes:
-        """What to write to the port, once."""
+        """Return the bytes to write to the port and forget them."""
         output = bytes(self._waiting)
         self._waiting.clear()
         return output

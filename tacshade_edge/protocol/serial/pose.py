@@ -1,4 +1,4 @@
-"""One pose of the robot, as a line and in binary: to a value and back."""
+"""Parse and encode one pose of the robot, as a line and in binary."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.protocol.serial.line import SEQ_MODULO, Line, crc16
 
 T_NS_MAX: Final = 2**63 - 1
 POSITION_MAX_MM: Final = 1e6
-UNIT_TOLERANCE: Final = 1e-2  # four decimals and no more are common
+UNIT_TOLERANCE: Final = 1e-2  # robots often send only four decimals
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,19}")
@@ -31,9 +31,9 @@ class PoseSample:
     Attributes
     ----------
     seq : int or None
-        The stream's own number, modulo 65536.
+        Number of the pose in its stream, modulo 65536.
     t_ns : int
-        The robot's clock.
+        Time in ns on the robot's clock.
     values : 7 floats
         ``base_T_flange``: x, y, z in mm, unit quaternion w, x, y, z.
     """
@@ -44,14 +44,14 @@ class PoseSample:
 
 
 def parse_time(text: str) -> int:
-    """A time in ns. Raises DecodeError."""
+    """Parse a time in ns. Raises DecodeError."""
     if not _TIME.fullmatch(text) or int(text) > T_NS_MAX:
         raise DecodeError(f"found {text!r}, expected whole nanoseconds from 0 to 2^63-1")
     return int(text)
 
 
 def parse_pose(line: Line) -> PoseSample:
-    """Understand the arguments of ``POSE``. Raises DecodeError."""
+    """Parse the arguments of ``POSE``. Raises DecodeError."""
     if len(line.args) != 8:
         raise DecodeError(f"found {len(line.args)} values, expected t x y z qw qx qy qz")
     t_ns = parse_time(line.args[0])
@@ -62,13 +62,13 @@ def parse_pose(line: Line) -> PoseSample:
 
 
 def encode_pose(sample: PoseSample) -> bytes:
-    """The binary form: ``P``, number, time, seven floats, CRC."""
+    """Encode a pose in binary: ``P``, number, time, seven floats, CRC."""
     raw = _POSE.pack(b"P", (sample.seq or 0) % SEQ_MODULO, sample.t_ns, *sample.values)
     return raw + _CRC.pack(crc16(raw))
 
 
 def decode_pose(raw: bytes) -> PoseSample:
-    """Understand the binary form. Raises DecodeError."""
+    """Decode a binary pose. Raises DecodeError."""
     if len(raw) != POSE_BYTES or raw[:1] != b"P":
         raise DecodeError(f"found {len(raw)} bytes, expected the letter P and {POSE_BYTES - 1} more bytes")
     if _CRC.unpack_from(raw, _POSE.size)[0] != crc16(raw[: _POSE.size]):
@@ -81,7 +81,7 @@ def decode_pose(raw: bytes) -> PoseSample:
 
 def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSample:
     x, y, z, w, i, j, k = values
-    if not max(abs(x), abs(y), abs(z)) <= POSITION_MAX_MM:  # NaN too
+    if not max(abs(x), abs(y), abs(z)) <= POSITION_MAX_MM:  # also rejects NaN
         raise DecodeError(f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm")
     norm = math.sqrt(w * w + i * i + j * j + k * k)
     if not abs(norm - 1) <= UNIT_TOLERANCE:

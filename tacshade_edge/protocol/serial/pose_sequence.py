@@ -1,4 +1,4 @@
-"""The numbers of poses: how many are missing, which came again."""
+"""Track the numbers of poses: how many are missing, which are repeated."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from typing import Final
 
 from tacshade_edge.protocol.serial.line import SEQ_MODULO
 
-POSES_BEHIND: Final = 64  # a pose with so old a number comes again; one with an older begins to count anew
+POSES_BEHIND: Final = 64  # a pose up to this far behind is a repeat; an older number restarts the count
 
 
 class PoseSequence:
-    """Counts modulo 65536."""
+    """Tracks pose numbers modulo 65536."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
 
     def missing_before(self, seq: int | None) -> int | None:
-        """How many are missing between this pose and the one before; None for one that came again.
+        """The number of poses missing between this pose and the previous one; None for a repeated pose.
 
-        A pose without a number (None) follows the one before.
+        A pose without a number (None) follows the previous one.
         """
         if seq is None:
             return 0

@@ -1,4 +1,4 @@
-"""Commands that come again: each number is done once, and its reply is kept for who asks again."""
+"""Handle repeated commands: each number is executed once, and its reply is kept for repeats."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ REPLIES_KEPT: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """A line that came before; `reply` is None while it is still being done."""
+    """A repeated line; `reply` is None while its command is still in progress."""
 
     reply: str | None
 
@@ -40,14 +40,14 @@ class ReplyCache:
         self._entries: dict[int, _Entry] = {}
 
     def admit(self, seq: int, text: str, command: Command | None) -> Repeat | Reason | None:
-        """Take note of a numbered line: None when it is new and must be done; `Repeat`, or why it must not."""
+        """Register a numbered line: None if it is new and must be executed, a `Repeat`, or why it is rejected."""
         known = self._entries.get(seq)
         if known is not None:
             if known.text != text:
                 return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new one")
             return Repeat(known.reply)
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
-        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be forgotten: to do it could be a second time
+        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be gone: it may have been executed
             text = f"found an old line number, expected one after #{self._newest}, or HELLO"
             return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
@@ -58,7 +58,7 @@ class ReplyCache:
         return None
 
     def keep(self, seq: int, command: Command | None, reply: str) -> bool:
-        """Keep the reply to a line that was admitted with `command`; False where the number is not its own any more."""
+        """Keep the reply to a line that was admitted with `command`; False if the number no longer belongs to it."""
         entry = self._entries.get(seq)
         if entry is None or entry.command is not command:
             return False

@@ -1,4 +1,4 @@
-"""``TOUCH``: which quantities of a touch a robot asks for, what its line can carry of them, and the event."""
+"""``TOUCH``: the quantities of a touch that a robot requests, the capacity of its line, and the event."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAMES_MAX: Final = 6
 RATE_DEFAULT_HZ: Final = 60
 RATE_MAX_HZ: Final = 1000
 SHARE: Final = 0.9
-"""Of the line towards the robot; the rest stays free for answers and other events."""
+"""Share of the line's capacity for touch events; the rest stays free for answers and other events."""
 _BITS_PER_BYTE: Final = 10  # with start and stop bit
 _BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
 _VALUE_BYTES_MAX: Final = 8
@@ -26,7 +26,7 @@ _SEQ_MAX: Final = 2**32 - 1
 
 @dataclass(frozen=True, slots=True)
 class TouchAsked:
-    """Of ``TOUCH ON``: some of `types.touch.QUANTITIES`, and at most how many events a second."""
+    """The arguments of ``TOUCH ON``: some of `types.touch.QUANTITIES`, and the greatest number of events per second."""
 
     names: tuple[str, ...]
     rate_hz: int
@@ -34,16 +34,16 @@ class TouchAsked:
 
 @dataclass(frozen=True, slots=True)
 class TouchSeen:
-    """The touch that a frame shows.
+    """The touch in one frame.
 
     Attributes
     ----------
     seq, t_ns : int
-        The frame's.
+        Number and capture time of the frame.
     contact : bool
-        False once, when it ends.
+        False once, when the contact ends.
     values : tuple of (str, float or None)
-        Of each quantity that was asked for, in the unit of its name; None where it is not known.
+        Name and value of each requested quantity, in the unit of its name; None if unknown.
     """
 
     seq: int
@@ -53,7 +53,7 @@ class TouchSeen:
 
 
 def parse_touch(args: Sequence[str]) -> TouchAsked | None:
-    """Understand the arguments of ``TOUCH``; None is ``OFF``. Raises DecodeError."""
+    """Parse the arguments of ``TOUCH``; None is ``OFF``. Raises DecodeError."""
     action, *names = args or ("",)
     if action.upper() == "OFF" and not names:
         return None
@@ -74,14 +74,14 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
 
 
 def touch_text(seen: TouchSeen) -> str:
-    """The event's line; at the end of a contact it has ``contact=0`` and no value."""
+    """The event's line; at the end of a contact, it has ``contact=0`` and no values."""
     end = "" if seen.contact else " contact=0"
     values = "".join(f" {name}={_value_text(value)}" for name, value in seen.values)
     return f"EVT TOUCH {seen.seq} {seen.t_ns}{end}{values}"
 
 
 def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
-    """Why a line of so many bits a second cannot carry the events, at their longest; None where it can."""
+    """Why a line of `baud` bits/s cannot carry the events at their longest; None if it can."""
     longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE
     if asked.rate_hz * longest_bytes <= most_bytes_s:
         return None
@@ -93,7 +93,7 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
 
 
 def event_bytes_max(names: Sequence[str]) -> int:
-    """How long an event of these quantities can be, with its checksum, in either mode."""
+    """The greatest length in bytes of an event of these quantities, with its checksum, in either mode."""
     ends, touches = (
         len(seal(touch_text(TouchSeen(_SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)))))
         for contact in (False, True)
@@ -102,7 +102,7 @@ def event_bytes_max(names: Sequence[str]) -> int:
 
 
 def _value_text(value: float | None) -> str:
-    """Three decimals, one of a great number; ``-`` where it is not known, or greater than any touch."""
+    """Format with three decimals, a large number with one; ``-`` if unknown or larger than any touch."""
     if value is None or not math.isfinite(value):
         return "-"
     return next((text for n in (3, 1) if len(text := f"{value:.{n}f}") <= _VALUE_BYTES_MAX), "-")

@@ -1,4 +1,4 @@
-"""The verbs of the robot's line and their arguments."""
+"""Parse the verbs of the robot's line and their arguments."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Command:
-    """A line that somebody has to do and to answer, once; two are never equal.
+    """A command that the daemon must execute and answer once; two are never equal.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The options of ``HELLO``; `boot` is empty where it gave none."""
+    """The options of ``HELLO``; `boot` is empty if not given."""
 
     boot: str
     crc_required: bool
 
 
 def parse_command(line: Line, arrived_ns: int) -> Command | Mode | Reason:
-    """Understand a line that takes a number: a command, or the mode of ``MODE``; or why it is neither."""
+    """Parse a line that takes a number: a command, the mode that ``MODE`` names, or why it is neither."""
     if line.verb == "MODE":
         mode = line.args[0].upper() if len(line.args) == 1 else ""
         return "BIN" if mode == "BIN" else "ASCII" if mode == "ASCII" else _usage(line.verb)
@@ -96,7 +96,7 @@ def parse_command(line: Line, arrived_ns: int) -> Command | Mode | Reason:
 
 
 def parse_hello(line: Line) -> Hello | Reason:
-    """Understand the arguments of ``HELLO``, or why not."""
+    """Parse the arguments of ``HELLO``, or return why they are not valid."""
     version, *options = line.args or ("",)
     if version != str(PROTOCOL_VERSION):
         return Reason(ReasonCode.OTHER_VERSION, f"found {version or 'none'}, expected {PROTOCOL_VERSION}")
@@ -119,7 +119,7 @@ def help_text(line: Line) -> str | Reason:
 
 
 def unknown_verb(verb: str) -> Reason:
-    """Why a line with that verb is not done."""
+    """The reason for rejecting a line with that verb."""
     return Reason(ReasonCode.UNKNOWN_VERB, f"found {verb[:32]}, expected one of {' '.join(USAGE)}")
 
 

@@ -1,1 +1,1 @@
-"""Fingers at known places and the one object that they hold."""
+"""Fingers at known poses and the one object that they hold."""

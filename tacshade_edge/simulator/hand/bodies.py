@@ -1,4 +1,4 @@
-"""Objects to hold: signed distances in mm about the object's own middle, exact outside."""
+"""Objects to hold: signed distances in mm in a frame at the object's centre, exact outside."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tacshade_edge.types import F64
 
 
 def box(x_mm: float, y_mm: float, z_mm: float, rounding_mm: float = 2.0) -> Shape:
-    """A box of these lengths in all, its edges rounded."""
+    """A box of these total lengths with rounded edges."""
     half = np.array((x_mm, y_mm, z_mm)) / 2 - rounding_mm
     if not half.min() >= 0:
         raise ValueError(f"a box of {x_mm} x {y_mm} x {z_mm} mm has no edges of radius {rounding_mm} mm")
@@ -25,7 +25,7 @@ def box(x_mm: float, y_mm: float, z_mm: float, rounding_mm: float = 2.0) -> Shap
 
 
 def cylinder(radius_mm: float, length_mm: float, rounding_mm: float = 2.0) -> Shape:
-    """A cylinder about x, its edges rounded."""
+    """A cylinder about x with rounded edges."""
     if not min(radius_mm, length_mm / 2) >= rounding_mm >= 0:
         raise ValueError(
             f"a cylinder of radius {radius_mm} and length {length_mm} mm has no edges of radius {rounding_mm} mm"
@@ -41,14 +41,14 @@ def cylinder(radius_mm: float, length_mm: float, rounding_mm: float = 2.0) -> Sh
 
 
 def sphere(radius_mm: float) -> Shape:
-    """A ball about its centre."""
+    """A ball with its centre at the origin."""
     return Shape("sphere", lambda p: np.asarray(np.linalg.norm(p, axis=1) - np.float32(radius_mm)))
 
 
 def lathed(name: str, outline_mm: Sequence[tuple[float, float]], rounding_mm: float = 2.0) -> Shape:
-    """What an outline makes that is turned about x: its corners (x, distance from x) in turn, convex edges rounded.
+    """A solid of revolution about x from the corners (x, distance from x) of its outline, with convex edges rounded.
 
-    A rounding takes nothing off: it is put around the outline.
+    The rounding is added around the outline and removes nothing.
     """
     upper = list(outline_mm)
     profile = polygon([*upper, *((x, -rho) for x, rho in reversed(upper))])

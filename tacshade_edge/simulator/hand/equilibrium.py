@@ -1,8 +1,8 @@
-"""Where an object comes to rest on the fingers that hold it, under a force and a torque from outside.
+"""Find where an object comes to rest on the fingers that hold it, under an external force and torque.
 
-The contacts are nonlinear springs in all six directions, as far as their friction goes. Newton's method on the object's
-pose: the stiffness by differences at first, then kept up by Broyden's rank-one updates (Nocedal and Wright, Numerical
-Optimization, 2006, section 11.1). Beyond what friction bears there is no equilibrium, and the object slips.
+The contacts are nonlinear springs in all six directions, up to the limit of friction. Newton's method finds the
+object's pose: finite differences give the first stiffness, Broyden's rank-one updates maintain it (Nocedal and Wright,
+Numerical Optimization, 2006, section 11.1). Beyond the limit of friction, there is no equilibrium and the object slips.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from tacshade_edge.simulator.hand.placed import Grip
 from tacshade_edge.simulator.objects import Shape
 from tacshade_edge.types import F64
 
-_LENGTH_MM = 20.0  # what a turn by 1 rad counts
+_LENGTH_MM = 20.0  # a rotation by 1 rad counts as this length
 _DIFFERENCE_MM = 0.05
 _LONGEST_MM = 0.5  # of a step
 _STEPS = 12
-_TOLERANCE = 0.01  # of all normal loads and the load from outside
+_TOLERANCE = 0.01  # of the sum of all normal loads and the external force
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,9 +32,9 @@ class Wrench:
     Attributes
     ----------
     force_mm3 : float64 (3,)
-        In the hand's frame, over kn.
+        Force over kn, in the hand's frame.
     torque_mm4 : float64 (3,)
-        About the object's origin.
+        Torque over kn, about the object's origin.
     """
 
     force_mm3: F64
@@ -49,9 +49,9 @@ class Rest:
     ----------
     hand_T_object : Rigid
     felts : tuple of Felt
-        Of each finger.
+        The contact of each finger.
     residual : Wrench
-        What is not in balance.
+        The unbalanced load.
     """
 
     hand_T_object: Rigid
@@ -60,7 +60,7 @@ class Rest:
 
 
 def borne(felts: Sequence[Felt], fingers: Sequence[Finger], hand_T_object: Rigid, mu: float) -> Wrench:
-    """What fingers exert on an object; `mu` is Coulomb's coefficient μ of all contacts."""
+    """The wrench that the fingers exert on an object; `mu` is Coulomb's coefficient μ of all contacts."""
     force, torque = np.zeros(3), np.zeros(3)
     middle = hand_T_object.translation_mm
     for each, finger in zip(felts, fingers, strict=True):
@@ -89,16 +89,16 @@ def equilibrium(
     body : Shape
     start : Placement
     grips : sequence of Grip or None
-        Of each finger, as `Felt.grip`.
+        The grip of each finger, as `Felt.grip`.
     outside : Wrench
-        What else than the fingers acts on the object.
+        The external load on the object.
     mu : float
         Coulomb's coefficient μ.
 
     Returns
     -------
     Rest or None
-        None: friction does not bear it, or the object has left the fingers.
+        None if friction cannot bear the load, or the object has left the fingers.
     """
     places = [start.hand_T_sensor(fingers, k) for k in range(len(fingers))]
 

@@ -1,7 +1,7 @@
-"""Fingers that hold an object which goes its way: what each bears, whether it slips, and what its skin looks like.
+"""Fingers that hold a moving object: the load, slip and skin of each finger.
 
-Each contact is the skin's own: pressure and traction are those of `skin` and `drag`, so Coulomb's law holds at every
-node and there is no other law for the hand. Loads are in skin units (`load`).
+Pressure and traction of each contact are those of `skin` and `drag`: Coulomb's law holds at every node, and the hand
+needs no other law. Loads are in skin units (`load`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class FingerSensor(Protocol):
 
     @property
     def model(self) -> SensorModel:
-        """Its parameters."""
+        """The sensor's parameters."""
         ...
 
     def skin(self, presses: Sequence[Press] = ()) -> Skin:
@@ -38,7 +38,7 @@ class FingerSensor(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finger:
-    """A sensor where it holds.
+    """A sensor at its pose while it holds.
 
     Attributes
     ----------
@@ -54,48 +54,48 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where an object is, and how far each finger is drawn back from where it holds.
+    """The pose of an object, and how far each finger is retracted from its holding pose.
 
     Attributes
     ----------
     hand_T_object : Rigid
     back_mm : tuple of float
-        Of each finger, along its own z and away from the object. Empty: none is.
+        Retraction of each finger, along its own z axis and away from the object. If empty, no finger is retracted.
     """
 
     hand_T_object: Rigid
     back_mm: tuple[float, ...] = ()
 
     def hand_T_sensor(self, fingers: Sequence[Finger], k: int) -> Rigid:
-        """Where a finger is."""
+        """The pose of finger k in the hand."""
         back_mm = self.back_mm[k] if self.back_mm else 0.0
         return fingers[k].hand_T_sensor @ shift(0.0, 0.0, -back_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerTruth:
-    """One finger at a time.
+    """The ground truth of one finger at one time.
 
     Attributes
     ----------
     name : str
     hand_T_sensor : Rigid
-        Where it is, drawn back or not.
+        The finger's pose, retracted or not.
     press : Press or None
-        What it feels; None while it touches nothing.
+        The press on the finger; None while it touches nothing.
     centre_mm : float64 (3,) or None
-        The middle of its contact, in the hand's frame.
+        Centre of its contact, in the hand's frame.
     depth_mm : float
-        Greatest h that the object makes.
+        Greatest h due to the object.
     stuck : float
-        Part of its contact in which the skin goes with the object; 1 without a contact.
+        Part of its contact in which the skin moves with the object; 1 without contact.
     slip : Slip or None
-        By `stuck`; None without a contact.
+        The slip that follows from `stuck`; None without contact.
     margin : float
-        1 less the tangential load over μ times the normal load, of which a twist's tractions count by their sizes;
-        0 where it slides as a whole, and without a contact.
+        1 minus the tangential load over μ times the normal load, where a twist's tractions count by their magnitudes;
+        0 if the contact slides as a whole, or without contact.
     load : Load or None
-        What it bears, along the hand's axes, its torque about the skin's centre; None without a contact.
+        The load along the hand's axes, with its torque about the skin's centre; None without contact.
     """
 
     name: str
@@ -111,14 +111,14 @@ class FingerTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandTruth:
-    """A hand at a time.
+    """The ground truth of a hand at one time.
 
     Attributes
     ----------
     hand_T_object : Rigid
     motion : Rigid
-        Of the object since it was grasped, in the hand's frame: what takes its points from where they were when the
-        first finger touched to where they are. The identity while nothing touches.
+        Motion of the object since the grasp, in the hand's frame: it maps the object's points from their positions at
+        the first finger's touch to their present ones. The identity while nothing touches.
     fingers : tuple of FingerTruth
     """
 
@@ -129,14 +129,14 @@ class HandTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """What one finger feels.
+    """The contact of one finger.
 
     Attributes
     ----------
     truth : FingerTruth
     skin : Skin
     grip : Grip or None
-        From where on the next motion counts; None while it touches nothing.
+        The state from which the next motion is measured; None while the finger touches nothing.
     """
 
     truth: FingerTruth
@@ -151,12 +151,12 @@ def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid
     ----------
     finger : Finger
     hand_T_sensor : Rigid
-        Where it is.
+        The finger's present pose.
     body : Shape
         The object, in its own frame.
     hand_T_object : Rigid
     grip : Grip, optional
-        Of the time before; without it touches now.
+        The grip of the previous step; without one, the contact begins now.
 
     Raises
     ------
@@ -189,9 +189,9 @@ def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid
 
 
 def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]) -> Iterator[Felt]:
-    """What finger k feels of an object that goes its way; an object that rests costs nothing.
+    """Yield the contact of finger k with a moving object; a resting object costs nothing.
 
-    The placements are steps: how far an object has slid is known to within one of them.
+    The placements are steps: the distance slid is accurate to within one of them.
     """
     last: tuple[Placement, Felt] | None = None
     for placement in placements:
@@ -205,7 +205,7 @@ def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[
 def hold(
     fingers: Sequence[Finger], body: Shape, placements: Sequence[Placement]
 ) -> Iterator[tuple[HandTruth, list[Skin]]]:
-    """What all fingers feel, and their skins, of each placement in turn."""
+    """Yield the ground truth of the hand and the fingers' skins at each placement in turn."""
     of_each = [follow(fingers, k, body, placements) for k in range(len(fingers))]
     grasped: Rigid | None = None
     for placement, *felts in zip(placements, *of_each, strict=True):

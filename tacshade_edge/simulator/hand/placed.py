@@ -1,9 +1,9 @@
-"""From where an object is to the `Press` of it that one finger feels.
+"""Convert an object's pose to the `Press` on one finger.
 
-The shape of that press is the object as it lies, so where it is comes through exactly. A press gives how the object
-moved since it touched as a drag and a twist: those of the material at the middle of the contact. A turn about an axis
-along the skin would move the rest of the contact, too, by at most the sine of its angle times how far the contact's
-height varies (0.6 mm over a contact of 10 mm: 0.05 mm for 5°). That is left out.
+The shape of that press is the object as it lies, which makes its position exact. A press states how the object moved
+since it touched as a drag and a twist: those of the material at the middle of the contact. A rotation about an axis
+along the skin would also move the rest of the contact, by at most the sine of its angle times the variation of the
+contact's height (0.6 mm over a contact of 10 mm: 0.05 mm for 5°). This is neglected.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.skin import node_directions
 from tacshade_edge.types import F64
 
-_EVERY = 4  # nodes of the skin's grid to one that is looked at
+_EVERY = 4  # step of the sampled nodes in the skin's grid
 _STEPS = 40
 _NEAREST = 0.3  # of the skin's radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """What a finger's contact remembers.
+    """The memory of a finger's contact.
 
     Attributes
     ----------
     sensor_T_object : Rigid
-        When it touched.
+        The object's pose when it touched.
     slid : (float, float, float)
-        How far it has slid over the skin since: along x and y in mm, and about z in degrees.
+        How far the object has slid over the skin since: along x and y in mm, and about z in degrees.
     """
 
     sensor_T_object: Rigid
@@ -43,9 +43,9 @@ class Grip:
 
 
 def contact_centre(body: Shape, sensor_T_object: Rigid, skin_radius_mm: float) -> F64 | None:
-    """The object's surface in the middle of what of it is inside the undeformed skin: (3,) mm in the sensor frame.
+    """The centre of the object's surface inside the undeformed skin: (3,) mm in the sensor frame.
 
-    None where it does not touch: less than a millimetre of skin.
+    None without contact, that is, with less than a millimetre of skin.
     """
     directions = _looked_at(skin_radius_mm)
     object_T_sensor = sensor_T_object.inverse()
@@ -62,7 +62,7 @@ def contact_centre(body: Shape, sensor_T_object: Rigid, skin_radius_mm: float) -
 
 
 def moved_along(grip: Grip, now: Rigid, at_mm: F64) -> tuple[float, float, float]:
-    """Drag along x and y in mm, and twist in degrees, of the material that is at a point (3,) now."""
+    """Drag along x and y in mm, and twist in degrees, of the material now at a point (3,)."""
     back = grip.sensor_T_object @ now.inverse()
     x_mm, y_mm = (at_mm - back.apply(at_mm))[:2].tolist()
     (a, b), (c, d) = back.rotation[:2, :2]
@@ -71,7 +71,7 @@ def moved_along(grip: Grip, now: Rigid, at_mm: F64) -> tuple[float, float, float
 
 
 def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Grip:
-    """The grip after the object slid by a part of its drag: one that turns back then loads the contact at once."""
+    """The grip after the object slid by a part of its drag; an object that turns back then loads it at once."""
     if not surplus:
         return grip
     x, y, turned = (of + surplus * by for of, by in zip(grip.slid, drag, strict=True))
@@ -79,9 +79,9 @@ def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Gri
 
 
 def press_of(body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: tuple[float, float, float]) -> Press:
-    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, dragged and twisted so far.
+    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and a twist.
 
-    Such a press has its origin on the undeformed skin.
+    The origin of such a press lies on the undeformed skin.
     """
     x, y, _ = at_mm.tolist()
     origin = np.array((x, y, math.sqrt(skin_radius_mm**2 - x * x - y * y)))

@@ -1,4 +1,4 @@
-"""What is done with a held object: where it and the fingers are over time."""
+"""The motion of a held object and of the fingers over time."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from tacshade_edge.simulator.hand.held import Placement
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandScript:
-    """Knots of the way of an object and of the fingers; between two of them all go straight and steadily.
+    """Knots of the path of an object and of the fingers, which move straight and steadily between two knots.
 
     Attributes
     ----------
     times_s : tuple of float
-        Increasing.
+        Times of the knots, increasing.
     placements : tuple of Placement
-        At those; before the first and after the last all rest.
+        Placements at these times; everything rests before the first and after the last.
     """
 
     times_s: tuple[float, ...]
     placements: tuple[Placement, ...]
 
     def __post_init__(self) -> None:
-        """Refuse times that do not increase."""
+        """Raise ValueError for times that do not increase or do not match the placements."""
         if len(self.times_s) != len(self.placements) or not self.times_s:
             raise ValueError(f"{len(self.times_s)} times for {len(self.placements)} placements, expected as many")
         if not all(np.diff(self.times_s) > 0) or not math.isfinite(self.times_s[-1] - self.times_s[0]):
             raise ValueError(f"times_s is {self.times_s}, expected increasing numbers")
 
     def held(self, for_s: float) -> HandScript:
-        """Then all rest."""
+        """Append a rest."""
         return self._then(for_s, self.placements[-1])
 
     def fingers_back(self, back_mm: Sequence[float], for_s: float) -> HandScript:
-        """Then the fingers are drawn back so far, or come forward."""
+        """Append a motion of the fingers to the retraction `back_mm`."""
         return self._then(for_s, replace(self.placements[-1], back_mm=tuple(back_mm)))
 
     def moved(self, hand_T_object: Rigid, for_s: float) -> HandScript:
-        """Then the object is moved there."""
+        """Append a motion of the object to a pose."""
         return self._then(for_s, replace(self.placements[-1], hand_T_object=hand_T_object))
 
     def at(self, t_s: float) -> Placement:
-        """Where they are; the same value while they rest."""
+        """The placement at a time; the same value while everything rests."""
         k = bisect_right(self.times_s, t_s)
         one, other = self.placements[max(k - 1, 0)], self.placements[min(k, len(self.placements) - 1)]
         if one is other:

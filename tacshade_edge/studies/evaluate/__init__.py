@@ -1,1 +1,1 @@
-"""Experiment 1 of the paper, and a user's own images, scored against ground truth."""
+"""Score Experiment 1 of the paper, and a user's own images, against ground truth."""

@@ -1,4 +1,4 @@
-"""Frames with labels in place of surfaces: how found depth, tilt and shear follow what is known of them."""
+"""Frames with labels instead of surfaces: how well found depth, tilt and shear follow the labels."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Reconstruction
 
 COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
-"""Of LABELS.csv, what a reconstruction says too."""
+"""Columns of LABELS.csv that a reconstruction reports too."""
 PAIRS = {"tilt": ("tilt_x_deg", "tilt_y_deg"), "shear": ("shear_x_mm", "shear_y_mm")}
-"""What has two axes, which need not be the camera's."""
+"""Quantities with two axes, which need not be the camera's."""
 
 
 @dataclass(frozen=True, slots=True)
 class FoundRow:
-    """One frame by one profile; what was not found is NaN.
+    """The result of one profile on one frame; a value that was not found is NaN.
 
     Attributes
     ----------
     image, profile : str
     refused : str
-        Code of the reason; empty for a frame that was used.
+        Code of the reason; empty for a usable frame.
     contact, saturated, degraded : bool
     depth_mm : float
         Greatest h; 0 without contact.
     volume_mm3 : float
     tilt_x_deg, tilt_y_deg : float
-        Of the normal of the greatest object.
+        Tilt of the normal of the largest object.
     shear_x_mm, shear_y_mm : float
-        Mean over all contact cells.
+        Mean shear over all contact cells.
     """
 
     image: str
@@ -54,17 +54,17 @@ class FoundRow:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How one found quantity follows a known one, over frames that were not refused.
+    """How well one found quantity follows a known one, over frames that were not refused.
 
     Attributes
     ----------
     quantity : str
     frames : int
-        Scored: for a pair of axes those that its map was not fitted on.
+        Number of scored frames; for a pair of axes, those that its map was not fitted on.
     rank_correlation : float
-        Spearman's; of a pair, the mean of both axes.
+        Spearman's rank correlation; for a pair, the mean of both axes.
     error : float
-        Mean absolute error after a line (a pair: a 2x2 map) fitted on the other half.
+        Mean absolute error of a line (for a pair, a linear map) fitted on the other half.
     """
 
     quantity: str
@@ -74,7 +74,7 @@ class Agreement:
 
 
 def found_row(image: str, result: Reconstruction) -> FoundRow:
-    """What a reconstruction says of a frame."""
+    """The row of a frame's reconstruction."""
     x, y, z = result.objects[0].normal if result.objects else (math.nan,) * 3
     shear_x, shear_y = result.shear_of_contact_mm or (math.nan, math.nan)
     return FoundRow(
@@ -86,7 +86,7 @@ def found_row(image: str, result: Reconstruction) -> FoundRow:
         result.degraded is not None,
         result.depth_max_mm,
         result.volume_mm3,
-        # A plane that is turned about x by an angle has the normal (0, -sin, cos); about y, (sin, 0, cos).
+        # A plane turned about x by an angle has the normal (0, -sin, cos); about y, (sin, 0, cos).
         math.degrees(math.atan2(-y, z)),
         math.degrees(math.atan2(x, z)),
         shear_x,
@@ -95,7 +95,7 @@ def found_row(image: str, result: Reconstruction) -> FoundRow:
 
 
 def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -> list[Agreement]:
-    """Compare found with known, row by row."""
+    """Compare found values with known ones, row by row."""
     used = [(row, labels) for row, labels in zip(rows, known, strict=True) if not row.refused]
     found = {name: np.array([getattr(row, name) for row, _ in used]) for name in (*COLUMNS, "volume_mm3")}
     true = {name: np.array([labels.get(name, math.nan) for _, labels in used]) for name in COLUMNS}
@@ -104,8 +104,8 @@ def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -
     for quantity, names in PAIRS.items():
         pair = [np.stack([each[name] for name in names], axis=1) for each in (found, true)]
         made.append(_mapped(quantity, pair[0], pair[1]))
-    # What a robot drags is its flange: skin under a plate that tilts with it goes elsewhere too, and the less far the
-    # shallower it is.
+    # A robot drags its flange: the skin under a plate that tilts with it moves differently, and less the shallower the
+    # contact is.
     shear, tilt = (np.stack([found[name] for name in PAIRS[pair_name]], axis=1) for pair_name in ("shear", "tilt"))
     depth = found["depth_mm"][:, None]
     moved = np.concatenate((shear, tilt, depth * shear, depth * tilt), axis=1)
@@ -115,7 +115,7 @@ def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -
 
 
 def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> str:
-    """Tables for a person: what was refused, and how the rest agrees."""
+    """Tables for people: how many frames were refused, and how well the rest agree."""
     by_profile: dict[str, list[FoundRow]] = {}
     for row in rows:
         by_profile.setdefault(row.profile, []).append(row)
@@ -146,7 +146,7 @@ def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> s
 
 
 def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
-    """One number against one number; the line is fitted on every other frame and scored on the rest."""
+    """Compare one quantity with another; fit a line on every other frame and score it on the rest."""
     there = np.isfinite(found) & np.isfinite(true)
     found, true = found[there], true[there]
     if len(found) < 4:
@@ -158,7 +158,7 @@ def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
 
 
 def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
-    """Two axes (N, 2): a linear map to them from found (N, n), fitted on every other frame and scored on the rest."""
+    """Map found (N, n) linearly to two true axes (N, 2); fit on every other frame and score on the rest."""
     there = np.isfinite(found).all(axis=1) & np.isfinite(true).all(axis=1)
     found, true = found[there], true[there]
     if len(found) < 4 * found.shape[1]:
@@ -171,14 +171,14 @@ def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
 
 
 def spearman(one: F64, other: F64) -> float:
-    """Spearman's rank correlation; NaN where one does not vary."""
+    """Spearman's rank correlation; NaN if one does not vary."""
     a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale > 0 else math.nan
 
 
 def document(rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> dict[str, object]:
-    """For JSON: NaN as null."""
+    """The rows and agreements for JSON, with NaN as null."""
     return {
         "frames": [{k: _plain(v) for k, v in asdict(row).items()} for row in rows],
         "agreements": {

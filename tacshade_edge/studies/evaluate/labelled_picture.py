@@ -1,4 +1,4 @@
-"""Found against known, a panel for each quantity and a colour for each profile; matplotlib is imported to draw only."""
+"""Plot found against known values, a panel per quantity and a colour per profile; only drawing imports matplotlib."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PANELS = (
 
 
 def draw(rows: Mapping[str, Sequence[FoundRow]], known: Sequence[Mapping[str, float]]) -> bytes:
-    """A PNG."""
+    """Draw the plot as a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

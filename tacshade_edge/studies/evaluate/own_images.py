@@ -1,4 +1,4 @@
-"""A user's own images with ground truth: what is beside them, and how well it is found."""
+"""Read a user's own images with the ground truth next to them, and score the reconstruction."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tacshade_edge.studies.parallel import Report
 from tacshade_edge.types import Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"
-# What numpy and zipfile raise on damaged bytes.
+# Exceptions that numpy and zipfile raise on damaged bytes.
 _DAMAGE = (KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Images of a folder, by name. Raises ConfigError when it is none, or holds none."""
+    """The images in a folder, by name. Raises ConfigError if it is not a folder or holds no image."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: found no folder, expected one with images and their truth (.npz)")
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
@@ -40,27 +40,27 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
-    """Read what is known of an image: the keys that ``tacshade-edge simulate`` writes.
+    """Read an image's ground truth: the keys that ``tacshade-edge simulate`` writes.
 
     Parameters
     ----------
     path : Path
-        ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three; where they are not given,
-        ``row0``, ``col0``, ``step_px`` are 0, 0, 1 and ``depth_max_mm`` is the greatest height.
+        ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three; by default, ``row0``,
+        ``col0``, ``step_px`` are 0, 0, 1 and ``depth_max_mm`` is the greatest height.
     image_size_px : (int, int)
         Height and width.
     geometry : Geometry
-        To find the points of a height map that comes without.
+        Converts a height map to points if none are given.
 
     Returns
     -------
-    (KnownTruth, object)
-        The object's name, or the file's where it does not say.
+    (KnownTruth, str)
+        The ground truth and the object's name; if not given, the file's.
 
     Raises
     ------
     DecodeError
-        Absent, damaged, other keys, or of another size.
+        The file is missing, damaged, or has other keys or another size.
     """
     content = _content(path)
     contact = height = None
@@ -102,7 +102,7 @@ def _content(path: Path) -> dict[str, Any]:
         raise DecodeError(f"{path}: found no such file, expected the image's truth: {EXPECTED}") from None
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or 'not an .npz file'}, expected {EXPECTED}") from None
-    except (*_DAMAGE, AttributeError, tokenize.TokenError):  # AttributeError: a .npy is no archive
+    except (*_DAMAGE, AttributeError, tokenize.TokenError):  # AttributeError: a .npy is not an archive
         raise DecodeError(f"{path}: not an .npz file, or damaged; expected {EXPECTED}") from None
 
 
@@ -134,7 +134,7 @@ def _check_covers(
     grid: tuple[float, float, float],
     image_size_px: tuple[int, int],
 ) -> None:
-    """Refuse a map that leaves more of the image uncovered than its step."""
+    """Raise DecodeError for a map that leaves a margin of a step or more of the image uncovered."""
     step = grid[2]
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
@@ -147,7 +147,7 @@ def _check_covers(
 def read_images(
     calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
 ) -> Iterator[Case]:
-    """Read images and what is known of them; one that cannot be used goes to `mistake` as a line, others go on."""
+    """Yield images with their ground truth; report an unusable one to `mistake` in one line and continue."""
     size = (calibration.image_height_px, calibration.image_width_px)
     for k, path in enumerate(images):
         report("images", k, len(images))
@@ -167,7 +167,7 @@ def read_images(
 def evaluate_images(
     calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
 ) -> tuple[list[Row], dict[str, Timing]]:
-    """Score images; every step is timed, one after the other in this process."""
+    """Score images one after another in this process and time every step."""
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     taken: dict[str, list[float]] = {profile: [] for profile in profiles}
     rows = []

@@ -1,4 +1,4 @@
-"""The rows of the paper's Fig. 6, a column for each object; `PACKAGES` are imported only here, and only to draw."""
+"""Draw the rows of the paper's Fig. 6, a column for each object; only drawing imports `PACKAGES`, and only here."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ DEPTH_MM = 3.0
 PACKAGES = ("matplotlib", "skimage")
 HEIGHT_COLOURS = "YlGnBu"  # pale where nothing is pressed, so that the skin's shading shows
 FOUND_COLOUR, TRUE_COLOUR = "#e4572e", "#3d6fb4"
-# Enough of each that their shape shows, few enough that a page stays small.
+# Enough to show the shapes, few enough to keep a page small.
 _CLOUD_POINTS, _SKIN_CELLS = 900, 100
 _OBJECT_HEIGHT_MM, _GAP_MM = 8.0, 4.0  # how much of an object is drawn, and how far above the skin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:
-    """All that is shown of one press."""
+    """The contents of one press's column."""
 
     title: str
     press: Press
@@ -72,7 +72,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     Raises
     ------
     ImportError
-        What draws it is not installed.
+        A package for drawing is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -117,7 +117,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
 
 
 def _scene(axes: Any, column: Column, calibration: Calibration) -> None:
-    """The object above the skin that it will press, both to scale."""
+    """Draw the object above the skin that it will press, both to scale."""
     from matplotlib.colors import LightSource
 
     r, theta = calibration.geometry.skin_radius_mm, np.radians(calibration.geometry.visible_half_angle_deg)
@@ -140,7 +140,7 @@ def _scene(axes: Any, column: Column, calibration: Calibration) -> None:
 
 
 def _object_mesh(press: Press) -> tuple[F64, Any]:
-    """Triangles of the press's shape up to a height, in mm, turned and scaled but not moved."""
+    """Triangles in mm of the press's shape up to a height, turned and scaled but not moved."""
     from skimage.measure import marching_cubes
 
     step, half = 0.35, 13.0
@@ -163,7 +163,7 @@ def _object_mesh(press: Press) -> tuple[F64, Any]:
 
 
 def _crop(values: Any, disc: Disc, grid: tuple[float, float, float]) -> Any:
-    """The visible disc's square of a map on a grid (row0, col0, step)."""
+    """Crop a map on a grid (row0, col0, step) to the square around the visible disc."""
     row0, col0, step = grid
     low_r, high_r = ((disc.row_c + s * (disc.radius_px + 4) - row0) / step for s in (-1, 1))
     low_c, high_c = ((disc.col_c + s * (disc.radius_px + 4) - col0) / step for s in (-1, 1))
@@ -176,7 +176,7 @@ def _camera(axes: Any, column: Column, disc: Disc) -> None:
 
 
 def _grey_maps(figure: Figure, cell: Any, column: Column) -> Any:
-    """g0, g, g_d side by side, in grey levels; g_d about the middle grey."""
+    """Draw g0, g and g_d side by side in grey levels, g_d around the middle grey."""
     maps, shown = column.maps, None
     pair = ((maps.g0, "$g_0$"), (maps.g, "$g$"), (maps.g_d + np.float32(127.5), "$g_d$ + 127"))
     for k, (values, name) in enumerate(pair):
@@ -190,7 +190,7 @@ def _grey_maps(figure: Figure, cell: Any, column: Column) -> Any:
 
 
 def _heights(figure: Figure, cell: Any, column: Column, disc: Disc, top_mm: float) -> Any:
-    """Found and true h on one scale, with the contact's outline."""
+    """Draw found and true h on one scale, with the outline of the contact."""
     found, shown = column.result.height, None
     pair = (
         (found.height_mm, found.contact, (found.row0, found.col0, found.step_px), "found"),
@@ -208,7 +208,7 @@ def _heights(figure: Figure, cell: Any, column: Column, disc: Disc, top_mm: floa
 
 
 def _skin(axes: Any, column: Column, calibration: Calibration, top_mm: float) -> None:
-    """The reconstructed skin, coloured by h."""
+    """Draw the reconstructed skin, coloured by h."""
     from matplotlib import colormaps
 
     solve = reconstructor(calibration, column.result.profile)
@@ -230,7 +230,7 @@ def _skin(axes: Any, column: Column, calibration: Calibration, top_mm: float) ->
 
 
 def _clouds(axes: Any, column: Column) -> None:
-    """Found and true contact points."""
+    """Draw found and true contact points."""
     true, found = column.truth.points_mm, column.result.cloud.points_mm
     for points, colour, name in ((true, TRUE_COLOUR, "true"), (found, FOUND_COLOUR, "found")):
         some = _thinned(points)
@@ -258,14 +258,14 @@ def _clouds(axes: Any, column: Column) -> None:
 
 
 def _thinned(points: F32) -> F32:
-    """A spread choice of points, the same each time."""
+    """A random subset of points, the same each time."""
     if len(points) <= _CLOUD_POINTS:
         return points
     return points[np.random.default_rng(0).permutation(len(points))[:_CLOUD_POINTS]]
 
 
 def _bounds(axes: Any, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], grow: float) -> None:
-    """One scale for the three axes; and more room than their cell, which a view into space does not fill."""
+    """Give the three axes one scale, and more room than their cell, which a 3-D view does not fill."""
     box = axes.get_position()
     width, height = grow * box.width, grow * box.height
     axes.set_position((box.x0 - (width - box.width) / 2, box.y0 - (height - box.height) / 2, width, height))
@@ -282,7 +282,7 @@ def _colour_bar(figure: Figure, shown: Any, box: Any, text: str) -> None:
 
 
 def _png(canvas: Any) -> bytes:
-    """Encode in 256 dithered colours: a third of the bytes, and no eye sees it."""
+    """Encode in 256 dithered colours: a third of the bytes without a visible difference."""
     from PIL import Image  # comes with matplotlib
 
     canvas.draw()

@@ -1,4 +1,4 @@
-"""An evaluation for a person (tables) and for a program (CSV, JSON)."""
+"""Format an evaluation for people (tables) and programs (CSV, JSON)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAPER_ROW = "Table I (real sensor)"
 
 
 def table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
-    """Markdown that is also readable as it is: the objects, the sensors, the profiles; of each family by itself."""
+    """Markdown tables, readable as plain text too: objects, sensors and profiles, separately for each family."""
     families = list(dict.fromkeys(_family(r) for r in rows))
     if len(families) < 2:
         return _family_table(rows, timings)
@@ -132,7 +132,7 @@ def _worst_of_paper(known: Sequence[tuple[float, float]]) -> tuple[float, float]
 
 
 def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything but the rows: settings, versions, Table I, and the summary of each profile; for JSON."""
+    """Everything except the rows, for JSON: settings, versions, Table I, and the summary of each profile."""
     summaries = {}
     for profile in dict.fromkeys(r.profile for r in rows):
         some = [r for r in rows if r.profile == profile]
@@ -160,7 +160,7 @@ def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mappi
 
 
 def versions() -> dict[str, str]:
-    """Python and the packages that figures depend on."""
+    """Versions of Python and of the packages that the figures depend on."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
@@ -172,7 +172,7 @@ def _pair(rows: Sequence[Row], objects: Mapping[str, Figures]) -> dict[str, Any]
 
 
 def without_nan(value: Any) -> Any:
-    """Replace NaN by None: JSON has none."""
+    """Replace NaN by None, because JSON lacks NaN."""
     if isinstance(value, dict):
         return {key: without_nan(v) for key, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What is pressed where: the grid of Experiment 1, and frames without contact."""
+"""The presses of Experiment 1, and frames without contact."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tacshade_edge.types import U8
 
 DEPTHS_MM = (1.5, 3.0, 4.5)
 RINGS = ((0.0, 0.1), (0.2, 0.28), (0.32, 0.38))
-"""Places lie at these distances from the tip, in skin radii: in the middle, beside it, and well off it."""
+"""Ranges of the distance from the tip, in skin radii: in the middle, next to it, and well off it."""
 NULL_FRAMES = 20
 
 
@@ -31,7 +31,7 @@ class Scene:
 
 
 def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, float]]:
-    """Draw x and y in mm and a rotation in degrees, one in each of `RINGS`; the same seed, the same places."""
+    """Draw x and y in mm and a rotation in degrees, one in each of `RINGS`; the same seed gives the same places."""
     rng = np.random.default_rng((0 if seed is None else seed + 1, 21))
     drawn = []
     for low, high in RINGS:
@@ -44,7 +44,7 @@ def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, flo
 def scenes(
     model: SensorModel, seed: int | None, object_name: str, depths_mm: Sequence[float] = DEPTHS_MM
 ) -> list[Scene]:
-    """Every place and depth of one object; on another skin radius than 20 mm the object scales with it."""
+    """Scenes of one object at every place and depth; the object scales with the skin radius relative to 20 mm."""
     scale = model.skin_radius_mm / 20
     shape = OBJECTS[object_name]()
     grid = [(place, depth) for place in places(model, seed) for depth in depths_mm]
@@ -55,11 +55,11 @@ def scenes(
 
 
 def null_images(sensor: PressedSensor, count: int = NULL_FRAMES) -> list[tuple[str, U8]]:
-    """Frames without contact, as a sensor in use makes them: by turns as they are, in other light, moved by a pixel.
+    """Frames without contact, as from a sensor in use: in turn unchanged, in other light, shifted by a pixel.
 
     Returns
     -------
-    list of (what was done to it, image)
+    list of (name of the change, image)
     """
     nuisances: list[tuple[str, Callable[[U8], U8]]] = [
         ("", lambda image: image),

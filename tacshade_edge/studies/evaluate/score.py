@@ -1,4 +1,4 @@
-"""One reconstruction against its truth: eqs. 13 and 14, the outline, the depth."""
+"""Score a reconstruction against its ground truth: eqs. 13 and 14, the outline, the depth."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ NOTHING = np.zeros((0, 3), dtype=np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownTruth:
-    """What is known of a frame.
+    """The ground truth of a frame.
 
     Attributes
     ----------
     points_mm : float32 (N, 3)
-        Touched skin in the sensor frame; N = 0: nothing touches.
+        Skin points in contact, in the sensor frame; N = 0 if nothing touches.
     depth_max_mm : float
         Greatest true h over the disc.
     contact : bool (rows, cols) or None
-        Where the skin touches, on a grid of the image; None when it is not known.
+        Cells in contact, on a grid of the image; None if unknown.
     row0, col0, step_px : float
         Cell (i, j) of `contact` is pixel (row0 + i·step_px, col0 + j·step_px).
     """
@@ -44,11 +44,11 @@ class KnownTruth:
 
     @classmethod
     def of(cls, true: Truth) -> KnownTruth:
-        """All of a simulated frame."""
+        """The ground truth of a simulated frame."""
         return cls(between_pixels(true.points_mm, true.contact), true.depth_max_mm, true.contact)
 
     def contact_on(self, height: HeightMap) -> Bool | None:
-        """Take `contact` at the cells of a height map (the nearest cell; False beyond its edge)."""
+        """Sample `contact` at the cells of a height map (the nearest cell; False beyond its edge)."""
         if self.contact is None:
             return None
         rows, cols = self.contact.shape
@@ -64,15 +64,15 @@ class KnownTruth:
 
 
 def between_pixels(points_mm: F32, contact: Bool) -> F32:
-    """Add the middles between neighbouring pixels' points.
+    """Add the midpoints between neighbouring pixels' points.
 
-    A found point that lies between pixels would otherwise be charged up to half a pixel for it. Over a steep step, more
-    than three times the usual distance, nothing is added.
+    Without them, a found point between pixels would have an error of up to half a pixel. Across a steep step, over
+    three times the usual distance, no midpoint is added.
 
     Parameters
     ----------
     points_mm : float32 (N, 3)
-        Of the pixels of `contact`, in their order.
+        Points of the pixels of `contact`, in their order.
     contact : bool (H, W)
 
     Returns
@@ -94,27 +94,27 @@ def between_pixels(points_mm: F32, contact: Bool) -> F32:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One frame and one profile; a column of evaluation.csv each, empty where it is NaN.
+    """The scores of one profile on one frame; each attribute is a column of evaluation.csv, empty if NaN.
 
     Attributes
     ----------
     profile, sensor, object : str
         `object` is ``none`` for a frame without contact.
     image : str
-        The user's image; for a simulated frame without contact, what was done to it.
+        The user's image; for a simulated frame without contact, the change made to it.
     depth_mm, x_mm, y_mm, rotation_deg : float
-        The press as stated; NaN where there is none.
+        The stated press; NaN if there is none.
     valid, contact, saturated : bool
         As reconstructed.
     true_depth_mm, found_depth_mm, depth_error_pct : float
-        Greatest h, and how far it is off (NaN without true contact).
+        Greatest h, and its relative error (NaN without true contact).
     me_mm, sd_pct, sd_sum_pct, backward_mm : float
-        Eqs. 13 and 14 (`studies.metrics.CloudScore`); ME is the forward distance. NaN without true contact, and ME and
-        backward NaN where a contact was missed.
+        Eqs. 13 and 14 (`studies.metrics.CloudScore`); ME is the forward distance. NaN without true contact; ME and
+        backward distance are also NaN for a missed contact.
     iou : float
     points, true_points, objects, repaired_px : int
     degraded : str
-        The reconstruction's own doubt or reason for refusal.
+        Why the reconstruction is invalid or degraded.
     """
 
     profile: str
@@ -145,7 +145,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a row says of its frame beside the scores."""
+    """The columns of a row that identify its frame."""
 
     sensor: str
     object: str
@@ -157,7 +157,7 @@ class Label:
 
 
 def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
-    """Compare a reconstruction with what is known of its frame."""
+    """Compare a reconstruction with its frame's ground truth."""
     touched = len(truth.points_mm) > 0
     cloud = score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm) if touched else None
     contact = truth.contact_on(result.height)

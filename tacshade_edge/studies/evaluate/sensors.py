@@ -1,4 +1,4 @@
-"""The sensors of a study: simulated ones by name, each calibrated as a user calibrates his own."""
+"""The sensors of a study: simulated ones by name, each calibrated as a user calibrates a real one."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.types import Calibration
 
 REFERENCES, PRESSES = 8, 40
-"""Images that each sensor is calibrated on, unless something else is asked for."""
+"""Default numbers of images for calibrating a sensor."""
 
-# Each image of a sensor has a noise seed of its own: references, presses, scenes, frames without contact.
+# Each image of a sensor has its own noise seed: references, presses, scenes, frames without contact.
 REFERENCE_NOISE, PRESS_NOISE, SCENE_NOISE, NULL_NOISE = 1000, 2000, 3000, 4000
 
 
 class PressedSensor(Protocol):
-    """What a family makes of a seed."""
+    """A sensor that a family makes from a seed."""
 
     model: SensorModel
 
@@ -36,17 +36,17 @@ class PressedSensor(Protocol):
 
 
 def tacshade(seed: int | None) -> SimulatedSensor:
-    """The simulator's own family."""
+    """Make a sensor of the simulator's own family."""
     return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
 
 
 FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": tacshade}
-"""Family to the function of a module that makes the sensor of a seed (None: its default one)."""
+"""For each family, a module-level function that makes the sensor of a seed (None: the default sensor)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorName:
-    """A sensor that can be made again: its family, and its seed or None for the family's default."""
+    """The name of a reproducible sensor: its family, and its seed or None for the family's default."""
 
     family: str
     seed: int | None
@@ -65,7 +65,7 @@ class SensorName:
         return cls(family, int(seed))
 
     def __str__(self) -> str:
-        """Write what `parse` reads."""
+        """The text that `parse` reads."""
         seed = "default" if self.seed is None else str(self.seed)
         return seed if self.family == "tacshade" else f"{self.family}:{seed}"
 
@@ -74,7 +74,7 @@ class SensorName:
         return FAMILIES[self.family](self.seed)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Take the family along: another process may not know it."""
+        """Pickle the family too, because another process may not know it."""
         return _in_family, (self.family, self.seed, FAMILIES[self.family])
 
 
@@ -84,12 +84,12 @@ def _in_family(family: str, seed: int | None, make: Callable[[int | None], Press
 
 
 def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:
-    """Calibrate on references and known ball presses, without looking at the model beyond its SENSOR.yaml.
+    """Calibrate on references and known ball presses, using nothing of the model beyond its SENSOR.yaml.
 
     Raises
     ------
     ConfigError
-        With the sensor's name: it cannot be calibrated so.
+        The sensor cannot be calibrated; the message names it.
     """
     try:
         return calibrated_sensor(name.make(), name.seed or 0, references, presses)
@@ -98,7 +98,7 @@ def calibrated(name: SensorName, references: int, presses: int) -> CalibrationRe
 
 
 def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses: int) -> CalibrationResult:
-    """Calibrate a sensor that has no name; the seed draws its presses. Raises ConfigError."""
+    """Calibrate a sensor without a name; its presses are drawn from the seed. Raises ConfigError."""
     model = sensor.model
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]

@@ -1,4 +1,4 @@
-"""Rows to the figures that are quoted: means over an object's presses, the worst object, Table I of the paper."""
+"""Summarise rows to the quoted figures: means over an object's presses, the worst object, Table I of the paper."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TABLE_I = {
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Means over presses. A missed contact (an empty cloud) counts as a skin left undeformed: SD 0, and the true depth
-    for ME and backward distance.
+    """Means over presses. A missed contact (an empty cloud) counts as undeformed skin: SD is 0, and ME and the backward
+    distance are the true depth.
 
     Attributes
     ----------
     presses, missed : int
     me_mm, backward_mm, sd_pct, sd_sum_pct, iou : float
-        NaN where nothing is known.
+        NaN if nothing is known.
     depth_error_pct, depth_error_worst_pct : float
         Mean and greatest absolute error of the greatest depth.
     """
@@ -48,7 +48,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class NullFigures:
-    """Frames without contact: how many were taken for a contact, how deep at most, how many were refused."""
+    """Figures of the frames without contact: phantoms, the greatest depth of one, and refused frames."""
 
     frames: int
     phantoms: int
@@ -57,7 +57,7 @@ class NullFigures:
 
 
 def figures(rows: Iterable[Row]) -> Figures:
-    """Mean over rows that have a true contact."""
+    """Means over the rows with a true contact."""
     some = [r for r in rows if r.true_points]
     off = np.array([abs(r.depth_error_pct) for r in some])
     missed = [math.isnan(r.me_mm) for r in some]
@@ -84,7 +84,7 @@ def by_object(rows: Iterable[Row]) -> dict[str, Figures]:
 
 
 def worst(objects: Sequence[Figures]) -> Figures:
-    """Of each measure the worst object's mean: the greatest error, the smallest SD and IoU."""
+    """The worst object's mean of each measure: the greatest error, the smallest SD and IoU."""
     chosen: dict[str, float] = {}
     for field in fields(Figures):
         values = [v for each in objects if not math.isnan(v := getattr(each, field.name))]
@@ -105,7 +105,7 @@ def null_figures(rows: Iterable[Row]) -> NullFigures:
 
 
 def beats_table_i(objects: dict[str, Figures]) -> tuple[int, int]:
-    """On how many of Table I's objects both measures are better than the paper's; and of how many that are there."""
+    """The number of Table I's objects on which both measures beat the paper's, and the number that were evaluated."""
     known = [name for name in PAPER_OBJECTS if name in objects]
     better = [
         name for name in known if objects[name].me_mm < TABLE_I[name][0] and objects[name].sd_pct > TABLE_I[name][1]

@@ -19,12 +19,12 @@ from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import Calibration, Frame
 
 TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
-"""So many frames are timed, each so often."""
+"""Number of timed frames, and of rounds over them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be evaluated; equal plans give equal rows.
+    """The plan of an evaluation; equal plans give equal rows.
 
     Attributes
     ----------
@@ -32,10 +32,10 @@ class Plan:
     profiles, objects : tuple of str
         Keys of `PROFILES` and `OBJECTS`.
     references, presses : int
-        What each sensor is calibrated on.
+        Number of images for calibrating each sensor.
     depths_mm : tuple of float
     null_frames : int
-        Frames without contact for each sensor.
+        Number of frames without contact for each sensor.
     """
 
     sensors: tuple[SensorName, ...]
@@ -49,7 +49,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """What came of a plan: a row for each frame and profile, and each sensor's calibration."""
+    """The result of a plan: a row for each frame and profile, and each sensor's calibration."""
 
     rows: tuple[Row, ...]
     calibrations: tuple[CalibrationResult, ...]
@@ -57,7 +57,7 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Milliseconds for a frame in contact, one thread, nothing beside it."""
+    """The time in ms of a frame in contact, on one thread of an otherwise idle machine."""
 
     p50_ms: float
     steps: int
@@ -81,7 +81,7 @@ def evaluate(plan: Plan, workers: Workers, report: Report) -> Evaluation:
 
 
 def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
-    """Every press of one object on one sensor, or of nothing, by every profile."""
+    """Score every profile on every press of one object on one sensor, or on frames without contact."""
     plan, name, calibration, object_name = task
     sensor = name.make()
     made = [reconstructor(calibration, profile) for profile in plan.profiles]
@@ -94,9 +94,9 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
 
 
 def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[str, Timing]:
-    """Time every profile on the first sensor and the first objects, each once, in the middle, at the middle depth.
+    """Time every profile on the first sensor and the first objects, each pressed in the middle at the middle depth.
 
-    In this process, one after the other, with one thread of OpenCV's.
+    Profiles run one after another in this process, with one OpenCV thread.
     """
     name = plan.sensors[0]
     sensor = name.make()

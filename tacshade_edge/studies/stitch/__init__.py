@@ -1,1 +1,1 @@
-"""Stitching of posed images offline: Experiment 2 of the paper."""
+"""Stitch posed images offline: Experiment 2 of the paper."""

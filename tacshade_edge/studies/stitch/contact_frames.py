@@ -1,4 +1,4 @@
-"""Posed images, or a recording, to what `find_flange` takes."""
+"""Convert posed images or a recording to the input of `find_flange`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from tacshade_edge.studies.stitch.work import Press
 from tacshade_edge.types import F64, Calibration, Pose
 
 PRESSES_MAX = 200
-"""More are thinned out evenly: the time grows with the cube."""
-_MOVING_MAX = 4  # frames of each press, evenly: down and up again
+"""More presses are thinned evenly, because the time grows with the cube of their number."""
+_MOVING_MAX = 4  # frames of each press, evenly spaced: down and up again
 _MOVING_MM_S, _MOVING_DEG_S = 2.0, 2.0
 _DEPTH_MM = 0.5  # less is noise
 _TRACK_NS = 300_000_000  # on each side: a delay may be that long
 
 
 def frames_of_presses(presses: Sequence[Press], flange_T_sensor: Rigid) -> list[ContactFrame]:
-    """Presses of images: the robot stood still, as far as anybody knows."""
+    """Contact frames of posed images, for which the robot is assumed to stand still."""
     sensor_T_flange = flange_T_sensor.inverse()
     used = [press for press in presses if not press.skipped]
     used = used[:: -(-len(used) // PRESSES_MAX) or 1]
@@ -42,7 +42,7 @@ def frames_of_presses(presses: Sequence[Press], flange_T_sensor: Rigid) -> list[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contact:
-    """A frame in contact: `at` is the number of its pose in the track."""
+    """A frame in contact; `at` is the index of its pose in the track."""
 
     number: int
     at: int
@@ -53,13 +53,13 @@ class _Contact:
 def read_contact_frames(
     calibration: Calibration, profile: Profile, recording: Recording
 ) -> tuple[list[ContactFrame], list[Reason]]:
-    """Reconstruct every frame; of each contact the frame in which it came to rest, and some in which the robot moved.
+    """Reconstruct every frame; keep each contact's frame at rest, and some in which the robot moved.
 
     Returns
     -------
     found : list of ContactFrame
     unread : list of Reason
-        Of the frames that cannot be read.
+        Reasons of the frames that cannot be read.
     """
     reconstructor, rest = make_reconstructor(calibration, profile), RestDetector()
     track: list[Pose] = []
@@ -93,7 +93,7 @@ def read_contact_frames(
 
 
 def _moves(poses: Sequence[Pose]) -> bool:
-    """Whether the flange goes from one pose to the next, and not over a gap."""
+    """Whether the flange moves between two poses without a gap."""
     if len(poses) < 2 or not 0 < (ns := poses[1].t_ns - poses[0].t_ns) <= GAP_MAX_NS:
         return False
     a, b = of_pose(poses[0]), of_pose(poses[1])

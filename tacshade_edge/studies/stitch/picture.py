@@ -1,4 +1,4 @@
-"""The known surface, what was found, what the paper's average makes of the same presses, and the error: one picture."""
+"""Draw the known surface, the map, the paper's average of the same presses, and the error in one picture."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.types import F32, U8
 
-_PANEL_PX = 600  # wide at most, where the surface has fewer cells
+_PANEL_PX = 600  # greatest width of a surface with fewer cells
 _ERROR_MM = 0.5
-_BEYOND_MM = 0.3  # of the known heights, that the colours still distinguish
+_BEYOND_MM = 0.3  # range beyond the known heights that the colours distinguish
 _GAP_PX, _TITLE_PX = 10, 22
 _UNTOUCHED_GREY = 225
 
 
 def write_comparison(path: Path, known: Raster, found: Raster, average: Raster) -> None:
-    """Write the picture over the known surface, from above, y upwards.
+    """Write the picture, over the known surface, seen from above with y upwards.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def write_comparison(path: Path, known: Raster, found: Raster, average: Raster) 
 
 
 def comparison(known: Raster, found: Raster, average: Raster) -> U8:
-    """The picture: uint8 (H, W, 3) BGR; the first three in the same colours."""
+    """The picture, uint8 (H, W, 3) BGR; the first three panels share one colour scale."""
     low, high = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
     ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
     error = (ours - known.z_mm + _ERROR_MM) / (2 * _ERROR_MM)
@@ -56,7 +56,7 @@ def _blue_white_red() -> U8:
 
 
 def _panel(title: str, part: F32, colours: U8) -> U8:
-    """Values from 0 to 1 in colours, under a title; grey where there are none."""
+    """A panel of values from 0 to 1 in colours, under a title; grey where there are none."""
     level = np.nan_to_num(np.clip(part, 0, 1) * 255).astype(np.uint8)
     picture = colours[:, 0][level]
     picture[~np.isfinite(part)] = _UNTOUCHED_GREY

@@ -1,4 +1,4 @@
-"""A map against a known surface."""
+"""Score a map against a known surface."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, freeze
 
-_STATION_MM = 1.0  # along a bar; degrees of a circle are chosen alike
-_BESIDE_MM = 1.5  # beside a bulge's edge, what still belongs to it
+_STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
+_BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
 _FLAT_MM, _FLAT_WITHIN_MM = 0.1, 0.75
-_END_MM = 2.0  # of a bar that is left out: its ends are round to the touch
+_END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownSurface:
-    """PAD.npz.
+    """A known surface, the contents of PAD.npz.
 
     Attributes
     ----------
     raster : Raster
     bars_mm : float64 (N, 5)
-        Straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be none.
+        Straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be empty.
     circles_mm : float64 (M, 4)
-        Ring bulges: x, y, radius of the middle line, width; may be none.
+        Ring bulges: x, y, radius of the middle line, width; may be empty.
     """
 
     raster: Raster
@@ -44,7 +44,7 @@ class KnownSurface:
 
 @dataclass(frozen=True, slots=True)
 class BarScore:
-    """A straight bulge: how its middle line, found in the map, differs from the true one."""
+    """A straight bulge: how its middle line in the map differs from the true one."""
 
     x_mm: float
     y_mm: float
@@ -56,7 +56,7 @@ class BarScore:
 
 @dataclass(frozen=True, slots=True)
 class CircleScore:
-    """A ring: the radius of its middle line, found in the map, and by how much it is not round."""
+    """A ring: the radius of its middle line in the map, and its deviation from a circle."""
 
     radius_mm: float
     found_mm: float
@@ -66,23 +66,23 @@ class CircleScore:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What a map is worth.
+    """The accuracy of a map.
 
     Attributes
     ----------
     rms_mm, mean_mm, p95_mm : float
-        Height errors in the map's cells over the known surface; `p95_mm` of their sizes.
+        Height errors in the map's cells over the known surface; `p95_mm` is of their absolute values.
     outside_cells : int
-        The map's cells beyond the known surface.
+        Number of the map's cells beyond the known surface.
     covered_mm2 : float
     raised_coverage : float
-        The part of the surface over half its height that the map covers.
+        Part of the surface above half its height that the map covers.
     raised_rms_mm, raised_mean_mm : float
-        Of the height errors there.
+        Height errors on that part.
     flat_rms_mm : float
-        RMS of those where the known surface varies by no more than 0.1 mm within 0.75 mm: away from walls and edges.
+        RMS error where the known surface varies by at most 0.1 mm within 0.75 mm: away from walls and edges.
     wall_part : float
-        The part of the squared error that is elsewhere.
+        Part of the squared error in all other places.
     bars : tuple of BarScore
     circles : tuple of CircleScore
     """
@@ -101,7 +101,7 @@ class Score:
     circles: tuple[CircleScore, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Rounded to 0.1 µm."""
+        """The score for JSON, rounded to 0.1 µm."""
         return {key: _rounded(value) for key, value in asdict(self).items()}
 
 
@@ -111,7 +111,7 @@ def read_known(path: Path) -> KnownSurface:
     Raises
     ------
     ConfigError
-        Not readable, or not a map.
+        The file is not readable, or not a map.
     """
     try:
         with path.open("rb") as stream, np.load(stream) as npz:
@@ -131,12 +131,12 @@ def read_known(path: Path) -> KnownSurface:
 
 
 def score(found: Raster, known: KnownSurface) -> Score:
-    """Compare cell by cell with the nearest known height.
+    """Compare a map cell by cell with the nearest known height.
 
     Raises
     ------
     ConfigError
-        They share no cell.
+        The map and the known surface share no cell.
     """
     true = at_cells_of(known.raster, found)
     covered = np.isfinite(found.z_mm)
@@ -168,7 +168,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
 
 
 def _variation(raster: Raster) -> F32:
-    """Greatest less least height around each cell, mm; NaN where the surface is not known."""
+    """Greatest minus least height in mm around each cell; NaN where the surface is unknown."""
     side = 2 * math.ceil(_FLAT_WITHIN_MM / raster.step_mm) + 1
     z = np.nan_to_num(raster.z_mm, nan=float(np.nanmin(raster.z_mm)))
     varies = maximum_filter(z, side) - minimum_filter(z, side)
@@ -218,7 +218,7 @@ def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
     points = found.points()
     rho, angle = np.hypot(points[:, 0] - x, points[:, 1] - y), np.arctan2(points[:, 1] - y, points[:, 0] - x)
     near = (np.abs(rho - radius) < width / 2 + _BESIDE_MM) & (points[:, 2] > half)
-    # A ring has more cells outside its middle line than inside.
+    # Weight cells by 1/ρ: a ring has more cells outside its middle line than inside.
     angles, radii = _means(angle[near], rho[near], 1 / rho[near], _STATION_MM / radius)
     if len(angles) < 3:
         return CircleScore(radius, float("nan"), float("nan"), float("nan"))
@@ -231,7 +231,7 @@ def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
 
 
 def _means(position: F64, values: F64, weight: F64, step: float) -> tuple[F64, F64]:
-    """Weighted mean position and value of each station that has any."""
+    """Weighted mean position and value of each station that is not empty."""
     if not position.size:
         return np.zeros(0), np.zeros(0)
     _, index = np.unique(np.floor(position / step), return_inverse=True)

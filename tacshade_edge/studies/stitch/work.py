@@ -1,4 +1,4 @@
-"""Posed images, or a recording, to presses to a map."""
+"""Convert posed images or a recording to presses, and presses to a map."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tacshade_edge.storage.tables.poses_table import PosedImage
 from tacshade_edge.types import F64, Calibration, Frame
 
 AVERAGED_POINTS = 500
-"""The paper's average looks at every pair in its radius: ten times the points take a hundred times the memory."""
+"""The paper's average visits every pair in its radius: ten times the points need a hundred times the memory."""
 _NO_CONTACT = Reason(ReasonCode.NO_CONTACT, "no contact")
 
 
@@ -32,17 +32,17 @@ class Press:
     Attributes
     ----------
     name : str
-        Of the image.
+        Name of the image.
     where : str
-        Which line or file says so, for a message.
+        The line or file that states the press, for messages.
     base_T_sensor : Rigid
-        As the robot reported.
+        Pose that the robot reported.
     points : PressPoints
-        None where `skipped` says why.
+        Empty if `skipped` is set.
     skipped : Reason or None
         Why the image adds nothing: invalid, no contact, no pose, unreadable.
     failed : bool
-        It is a mistake, not a press into the air.
+        Whether the image is a mistake rather than a press into the air.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Press:
 def read_presses(
     calibration: Calibration, profile: Profile, posed: Sequence[PosedImage], report: Callable[[str, int, int], None]
 ) -> list[Press]:
-    """Reconstruct every image."""
+    """Reconstruct the press of every image."""
     reconstructor = make_reconstructor(calibration, profile)
     flange_T_sensor = from_seven(calibration.flange_T_sensor)
     size = (calibration.image_height_px, calibration.image_width_px)
@@ -80,7 +80,7 @@ def read_presses(
 def read_recording(calibration: Calibration, profile: Profile, recording: Recording, where: str) -> list[Press]:
     """Reconstruct every frame; each contact that comes to rest is a press, as in the daemon.
 
-    A frame that cannot be used is passed over; where a contact comes to rest without a pose, it says so.
+    Unusable frames are passed over; a contact that comes to rest without a pose gives a skipped press.
     """
     reconstructor, rest = make_reconstructor(calibration, profile), RestDetector()
     flange_T_sensor = from_seven(calibration.flange_T_sensor)
@@ -107,7 +107,7 @@ def read_recording(calibration: Calibration, profile: Profile, recording: Record
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
-    """All presses that have points, in order. Raises ConfigError where they make too large a map."""
+    """A stitcher with all presses that have points, in order. Raises ConfigError if their map is too large."""
     stitcher = Stitcher(skin_radius_mm)
     for press in presses:
         if press.skipped:
@@ -120,7 +120,7 @@ def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
 
 
 def all_points(presses: Sequence[Press]) -> F64:
-    """Points of all presses where the robot reported them, (N, 3) mm; evenly `AVERAGED_POINTS` of each at most."""
+    """Points (N, 3) in mm of all presses at the reported poses; evenly thinned to `AVERAGED_POINTS` of each."""
     parts = []
     for press in presses:
         if not press.skipped:

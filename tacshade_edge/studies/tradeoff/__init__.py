@@ -1,1 +1,1 @@
-"""Speed against accuracy: profiles, and what differs from them in one thing, on the same presses."""
+"""Speed against accuracy: profiles and variations of them, on the same presses."""

@@ -1,4 +1,4 @@
-"""Every setting on every image, over the machine's cores."""
+"""Score every setting on every image, over the machine's cores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tacshade_edge.types import Frame
 def score_settings(
     settings: Sequence[Setting], sensors: Sequence[SensorCases], workers: Workers, report: Report
 ) -> list[list[list[Row]]]:
-    """A row of each setting, sensor and image, in that order of nesting.
+    """Rows for each setting, sensor and image, nested in that order.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A board's figures as one block of Markdown to send in; its table is a row of docs/reference/boards.md."""
+"""Format a board's figures as a Markdown block to send in; its table is a row of docs/reference/boards.md."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ HEADER = ("board", "processor", "system", "version", *PROFILES, "untouched", "Mi
 
 
 def block(facts: Mapping[str, str], points: Sequence[Point], busy: float) -> str:
-    """The block.
+    """The Markdown block of a board.
 
     Parameters
     ----------
     facts : mapping
-        Of the board (`doctor.board_facts`): each is a line, and the table has `board`, `processor`, `cores`, `system`
-        and `tacshade-edge`.
+        Facts about the board (`doctor.board_facts`): each is a line, and the table shows `board`, `processor`,
+        `cores`, `system` and `tacshade-edge`.
     points : sequence of Point
-        Of the shipped profiles.
+        Points of the shipped profiles.
     busy : float
-        How many times as long as this command's processor time its frames took; 1 on an idle machine.
+        Elapsed time over this command's processor time; 1 on an idle machine.
     """
     beside = [f"- {name}: {text}" for name, text in facts.items()]
     rule = "|".join(["---"] * len(HEADER))

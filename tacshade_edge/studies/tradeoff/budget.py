@@ -1,4 +1,4 @@
-"""The most accurate shipped profile that keeps a budget, as lines of a settings file."""
+"""Choose the most accurate shipped profile that keeps a budget, as lines of a settings file."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from tacshade_edge.studies.tradeoff.summary import Point
 
 
 def best_within(points: Sequence[Point], budget_ms: float) -> Point | None:
-    """The point with the least ME whose p99 is within the budget; None where there is none."""
+    """The point with the least ME among those with a p99 within the budget; None if there is none."""
     return min((p for p in points if p.p99_ms.value <= budget_ms), key=lambda p: p.me_mm.value, default=None)
 
 
 def settings_block(points: Sequence[Point], budget_ms: float) -> str | None:
-    """YAML for a settings file, with the reason in comments; None where no shipped profile keeps the budget."""
+    """YAML for a settings file, with the reason in comments; None if no shipped profile keeps the budget."""
     chosen = best_within([p for p in points if p.setting.shipped], budget_ms)
     if chosen is None:
         return None
@@ -25,7 +25,7 @@ def settings_block(points: Sequence[Point], budget_ms: float) -> str | None:
 
 
 def over_budget(points: Sequence[Point], budget_ms: float) -> str:
-    """Say that no shipped profile keeps the budget, and which comes nearest."""
+    """The message that no shipped profile keeps the budget, and which comes closest."""
     shipped = [p for p in points if p.setting.shipped and p.p99_ms.value > budget_ms]
     if not shipped:
         return f"no shipped profile was timed, so none can be chosen for {budget_ms:g} ms"

@@ -1,4 +1,4 @@
-"""The images that all settings see."""
+"""The images that all settings reconstruct."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration
 
 NULL_FRAMES = 10
-"""Frames without contact of each simulated sensor."""
+"""Number of frames without contact of each simulated sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +26,7 @@ class SensorCases:
 def simulated(
     sensors: Sequence[SensorName], objects: Sequence[str], workers: Workers, report: Report
 ) -> tuple[SensorCases, ...]:
-    """Every object at one place of each sensor (the next object at the next place) and three depths, rendered once.
+    """Render every object at one place of each sensor (the next object at the next place) and three depths.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The settings that are tried: the shipped profiles, and what differs from one of them in a thing or two."""
+"""The settings of the study: the shipped profiles, and variations of each in one or two parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DENOISERS: Mapping[str, Callable[[F32, float, int], F32]] = {
     "float32": chambolle,
     "float64": chambolle_float64,
 }
-"""The total-variation denoising in each precision: an image of 0 to 1, the weight, iterations at most."""
+"""The total-variation denoising in each precision, from an image of 0 to 1, a weight and the most iterations."""
 
 WORDS: dict[str, Callable[[Any], str]] = {
     "solver": "solver {}".format,
@@ -41,7 +41,7 @@ WORDS: dict[str, Callable[[Any], str]] = {
     "tv_iterations": "TV {} times".format,
     "tv_precision": "TV {}".format,
 }
-"""What is varied, and how that is said."""
+"""The varied fields, and a formatter of each."""
 
 _AROUND_NETWORK: tuple[dict[str, Any], ...] = (
     {"stride_px": 2},
@@ -49,7 +49,7 @@ _AROUND_NETWORK: tuple[dict[str, Any], ...] = (
     {"window_pitches": 1},
     {"window_pitches": 3},
 )
-# At stride 1 a frame takes half a second; around it only what decides.
+# A frame takes half a second at stride 1; only the decisive variations use it.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"scaled_grey": True},
     {"tv_precision": "float64"},
@@ -75,13 +75,13 @@ class Setting:
     Attributes
     ----------
     profile : Profile
-        A shipped one, or one that differs; its name stays that of the shipped one, whose network and factor it has.
+        A shipped profile or a variation, which keeps the name, network and factor of the shipped one.
     whole_disc : bool
-        Objects are looked for everywhere in place of the contact's box.
+        Whether to search for objects everywhere instead of in the bounding box of the contact.
     scaled_grey : bool
-        The paper's method without eq. 11.
+        Whether to use the paper's method without eq. 11.
     tv_iterations : int
-        The denoising's, at most.
+        Most iterations of the denoising.
     tv_precision : str
         Key of `DENOISERS`.
     """
@@ -94,12 +94,12 @@ class Setting:
 
     @property
     def shipped(self) -> bool:
-        """Whether a user can choose it by name."""
+        """Whether a user can choose the setting by name."""
         return self == Setting(PROFILES[self.profile.name])
 
     @property
     def fields(self) -> dict[str, Any]:
-        """What may be varied (`WORDS`), and its value."""
+        """The fields that may vary (`WORDS`), with their values."""
         own = {
             "solver": "grey" if self.scaled_grey else self.profile.solver,
             "tv_iterations": self.tv_iterations,
@@ -109,18 +109,18 @@ class Setting:
 
     @property
     def varied(self) -> str:
-        """What differs from the shipped profile; empty for that one."""
+        """The differences from the shipped profile; empty for that profile itself."""
         base = Setting(PROFILES[self.profile.name]).fields
         words = [WORDS[field](value) for field, value in self.fields.items() if value != base[field]]
         return ", ".join((*words, *(("whole disc",) if self.whole_disc else ())))
 
     def __str__(self) -> str:
-        """Its name for a person, unique in a grid."""
+        """The setting's name for people, unique in a grid."""
         return ", ".join(filter(None, (self.profile.name, self.varied)))
 
 
 def grid(names: Sequence[str]) -> tuple[Setting, ...]:
-    """The shipped profiles of these names, each followed by what differs from it."""
+    """The shipped profiles of these names, each followed by its variations."""
     settings = []
     for profile in (PROFILES[name] for name in names):
         around = ({"halved": not profile.halved}, *_AROUND_NETWORK) if profile.network else _AROUND_PAPER
@@ -136,7 +136,7 @@ def _changed(profile: Profile, changes: Mapping[str, Any]) -> Setting:
 
 
 def make(setting: Setting, calibration: Calibration) -> Reconstructor:
-    """A reconstructor of a setting, with a network of its own where it wants one."""
+    """Make the reconstructor of a setting, with its own network if it needs one."""
     profile = setting.profile
     return Reconstructor(
         calibration,

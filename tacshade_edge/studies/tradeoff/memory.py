@@ -1,4 +1,4 @@
-"""What memory a setting needs: each in a process of its own, beyond what that had before."""
+"""Measure the memory that a setting adds to a process, each setting in its own process."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tacshade_edge.types import U8, Calibration, Frame
 def peak_memory(
     settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report
 ) -> list[float]:
-    """Greatest resident memory of each setting while it reconstructs the images, beyond what the process had, in MiB.
+    """Peak resident memory in MiB that each setting adds to its process while it reconstructs the images.
 
-    What it had is Python, NumPy, OpenCV, ONNX Runtime and the images; the reconstructor's tables and network, and what
-    a step takes for a moment, count.
+    Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and network, and the
+    temporary memory of a step, do.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def peak_memory(
 
 def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     setting, calibration, images = task
-    with contextlib.suppress(OSError):  # a kernel that cannot forget the peak of the imports, which is hardly above
+    with contextlib.suppress(OSError):  # if a kernel cannot reset the peak, that of the imports is hardly higher
         Path("/proc/self/clear_refs").write_text("5")
     before = _greatest_kib()
     made = make(setting, calibration)

@@ -1,4 +1,4 @@
-"""Error against time; matplotlib is imported only here, and only to draw."""
+"""Plot error against time; only drawing imports matplotlib, and only here."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 from tacshade_edge.studies.tradeoff.summary import Estimate, Point
 
 NEAR = 1.5
-"""The second panel ends at so many times the slowest and the least accurate setting on the front."""
+"""The second panel's limits as multiples of the slowest and the least accurate setting on the front."""
 
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
 
 
 def draw(points: Sequence[Point], budget_ms: float | None) -> bytes:
-    """PNG: ME against p50 with their intervals, the front, the shipped, the budget; all, and around the front."""
+    """Plot ME against p50 as a PNG, with intervals, front, shipped profiles and budget: all, and around the front."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -57,7 +57,7 @@ def _scatter(
         for point in mine:
             _mark(axes, point, colour)
         if detailed:
-            # Many lie side by side: the names go one below the other.
+            # Many points lie side by side, so their names go one below another.
             for rank, point in enumerate(p for p in mine if p.front and p.setting.varied):
                 _name(axes, point, point.setting.varied, colour, (6, -20 - 10 * rank))
         axes.plot([], [], "o", color=colour, label=f"{name} and what differs from it")

@@ -1,4 +1,4 @@
-"""The points for a person (Markdown) and for a program (CSV, JSON)."""
+"""Format the points for people (Markdown) and programs (CSV, JSON)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ESTIMATES = ("me_mm", "sd_pct", "iou", "depth_off_pct", "p50_ms", "p99_ms")
 
 
 def table(points: Sequence[Point]) -> str:
-    """Accuracy and cost of each setting, then its stages."""
+    """Markdown tables of each setting's accuracy and cost, then its stages."""
     return f"{_settings(points)}\n\nStages of a frame in contact, p50 / p99 ms\n\n{_stages(points)}"
 
 
@@ -70,7 +70,7 @@ def _with_interval(estimate: Estimate, spec: str) -> str:
 
 
 def record(point: Point) -> dict[str, Any]:
-    """A point as one flat line: what it is, its figures, and each interval's ends."""
+    """A point as one flat record: the setting, its figures, and the ends of each interval."""
     line: dict[str, Any] = {
         "setting": str(point.setting),
         "profile": point.setting.profile.name,
@@ -95,13 +95,13 @@ def record(point: Point) -> dict[str, Any]:
 
 
 def csv_text(points: Sequence[Point]) -> str:
-    """One line for each setting; NaN is empty."""
+    """CSV with one line for each setting; NaN is empty."""
     records = [record(p) for p in points]
     return tables.csv_lines(list(records[0]), [list(r.values()) for r in records])
 
 
 def document(points: Sequence[Point], data: Mapping[str, Any], busy: float) -> dict[str, Any]:
-    """All points, what they were measured on and with, how busy the machine was; for JSON."""
+    """All points for JSON, with their data, machine, versions and how busy the machine was."""
     machine = {"machine": platform.machine(), "system": platform.platform(), "cores": usable_cores(), "busy": busy}
     found: dict[str, Any] = without_nan(
         {"data": dict(data), "board": machine, "versions": versions(), "points": [record(p) for p in points]}

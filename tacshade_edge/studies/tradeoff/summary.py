@@ -1,4 +1,4 @@
-"""Rows and times to a point for each setting: means with what presses and rounds leave open, and who beats whom."""
+"""Summarise rows and times to a point for each setting: means with bootstrap intervals, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tacshade_edge.types import F64, Bool
 
 DRAWS = 1000
 LEAST = 3
-"""With fewer presses (rounds) there is nothing to draw from, and no interval."""
+"""Fewest presses (rounds) for which an interval is drawn."""
 _LOW, _HIGH = 2.5, 97.5
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure and its 95 % interval by bootstrap; NaN where nothing is known."""
+    """A figure and its 95 % bootstrap interval; NaN if unknown."""
 
     value: float
     low: float
@@ -31,32 +31,32 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """What is known of a setting.
+    """The figures of a setting.
 
     Attributes
     ----------
     setting : Setting
     presses, missed : int
-        A missed contact counts as a skin left alone (`evaluate.summary.Figures`).
+        A missed contact counts as undeformed skin (`evaluate.summary.Figures`).
     untouched, phantoms : int
-        Frames without contact, and those taken for one.
+        Number of frames without contact, and of those in which a contact was found.
     me_mm, sd_pct, iou, depth_off_pct : Estimate
-        Means over presses; the interval by drawing presses.
+        Means over presses, with intervals from resampled presses.
     p50_ms, p99_ms : Estimate
-        Processor time of frames in contact: the median over rounds of a round's median, the percentile over all; the
-        interval by drawing rounds.
+        Processor time of frames in contact: the median over rounds of a round's median, the percentile over all, with
+        intervals from resampled rounds.
     fps : float
-        Frames in contact that one thread does in a second.
+        Frames in contact that one thread processes per second.
     timed : int
-        Frames in contact.
+        Number of timed frames in contact.
     idle_p50_ms : float
-        Of frames without contact.
+        Median time of frames without contact.
     stages_ms : tuple of (stage, p50, p99)
-        Those that were run.
+        Times of the stages that ran.
     peak_mib : float
-        Memory beyond the bare process.
+        Memory that the setting adds to the bare process.
     front : bool
-        No other setting is clearly more accurate and not clearly slower, or clearly faster and not clearly less
+        True if no other setting is clearly more accurate and not clearly slower, or clearly faster and not clearly less
         accurate.
     """
 
@@ -81,7 +81,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drawn:
-    """A figure of each setting, and the same from `DRAWS` drawn sets (draws, settings)."""
+    """A figure of each setting, and the same from `DRAWS` resampled sets (draws, settings)."""
 
     value: F64
     draws: F64
@@ -91,7 +91,7 @@ class _Drawn:
         return Estimate(float(self.value[k]), float(low), float(high))
 
     def clearly_less(self) -> Bool:
-        """(settings, settings): whether one is less than the other on the same draws, for 97.5 % of them."""
+        """Whether each setting is less than each other on the same draws, in 97.5 % of them: (settings, settings)."""
         less: Bool = np.percentile(self.draws[:, :, None] - self.draws[:, None, :], _HIGH, axis=0) < 0
         return less
 
@@ -99,15 +99,15 @@ class _Drawn:
 def points(
     settings: Sequence[Setting], rows: Sequence[Sequence[Row]], times: Sequence[Times], peak_mib: Sequence[float]
 ) -> tuple[Point, ...]:
-    """Summarise.
+    """Summarise the rows, times and memory of each setting.
 
     Parameters
     ----------
     settings : sequence of Setting
     rows : sequence of sequences of Row
-        Of each setting, of the same images in the same order.
+        Rows of each setting, on the same images in the same order.
     times : sequence of Times
-        Of the same rounds.
+        Times of each setting, in the same rounds.
     peak_mib : sequence of float
     """
     pressed = [[r for r in some if r.true_points] for some in rows]
@@ -145,7 +145,7 @@ def points(
 
 
 def on_front(error: _Drawn, time: _Drawn) -> Bool:
-    """Of each setting, whether no other is clearly better in one of the two and not clearly worse in the other."""
+    """Whether no other setting is clearly better in one of the two and not clearly worse in the other, for each."""
     nearer, faster = error.clearly_less(), time.clearly_less()
     beats = (nearer & ~faster.T) | (faster & ~nearer.T)
     front: Bool = ~beats.any(axis=0) & np.isfinite(error.value) & np.isfinite(time.value)
@@ -174,7 +174,7 @@ def _by_round(times: Sequence[Times]) -> _Drawn:
 
 
 def _p99(times: Times) -> Estimate:
-    """Of all frames; a drawn round counts as often as it was drawn."""
+    """The p99 of all frames; each draw weights a round by how often it was drawn."""
     rounds = [some[:, 0] for some in times.contact]
     pooled = np.concatenate(rounds)
     if not len(pooled):

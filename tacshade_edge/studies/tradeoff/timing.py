@@ -1,4 +1,4 @@
-"""What a frame takes: one setting at a time, in rounds, so that a busy moment of the machine meets them all."""
+"""Time frames, one setting at a time, in rounds, so that a busy moment of the machine affects all settings."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from tacshade_edge.types import F64, U8, Calibration, Frame
 
 ROUNDS = 15
 SLICE_MS = 100.0
-"""Of a round, for each setting; at least one frame, at most all of them."""
+"""Time for each setting in a round, in ms; at least one frame, at most all of them."""
 IDLE_FRAMES = 5
-"""Frames without contact in each setting's part of a round."""
+"""Number of frames without contact in each setting's part of a round."""
 FRAME_NS = 1_000_000_000 // 60
-"""From frame to frame by their time stamps: what is not asked at every frame costs as in a stream."""
+"""Interval of the frames' time stamps in ns, so that work not done on every frame costs as much as in a stream."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Times:
-    """Milliseconds of processor time that frames took.
+    """Processor time of frames in ms.
 
     Attributes
     ----------
     contact : tuple of float64 (n, 1 + number of stages)
-        Of each round the frames in contact: the step without shear, then `STAGES`, NaN where one is not run. n
-        is 0 where the setting finds no contact.
+        Frames in contact of each round: the step without shear and sigma, then `STAGES`, NaN for a stage that did not
+        run. n is 0 if the setting finds no contact.
     idle : tuple of float64 (m,)
-        Of each round the frames without contact.
+        Frames without contact of each round.
     """
 
     contact: tuple[F64, ...]
@@ -48,19 +48,19 @@ def time_settings(
     report: Report,
     rounds: int = ROUNDS,
 ) -> tuple[list[Times], float]:
-    """Time them all, on one thread of this process.
+    """Time all settings on one thread of this process.
 
     Parameters
     ----------
     contact : sequence of sequences of uint8 (H, W) or (H, W, 3)
-        For each setting the images in which it finds a contact.
+        For each setting, the images in which it finds a contact.
     idle : sequence of the same
         Images without contact.
 
     Returns
     -------
     (list of Times, float)
-        Of each setting; and how many times longer all of it took than this thread worked: 1 where nothing else ran.
+        Times of each setting; and elapsed time over this thread's processor time, 1 if nothing else ran.
     """
     timed = [_Timed(make(setting, calibration), some, idle) for setting, some in zip(settings, contact, strict=True)]
     rng = np.random.default_rng(0)
@@ -78,7 +78,7 @@ def time_settings(
 
 
 class _Timed:
-    """A setting's reconstructor, where it is in its frames, and what they took."""
+    """A setting's reconstructor, its position in its frames, and their times."""
 
     def __init__(self, made: Reconstructor, contact: Sequence[U8], idle: Sequence[U8]) -> None:
         self.made, self.contact, self.idle = made, contact, idle
@@ -87,7 +87,7 @@ class _Timed:
         self._count = self._next = self._next_idle = self._t_ns = 0
 
     def begin(self) -> None:
-        """Find how many frames fit into a slice; the first step imports and allocates, the second is timed."""
+        """Find how many frames fit into a slice, from the second step: the first one imports and allocates."""
         if self.contact:
             usual_ms = [float(self._step(self.contact[0])[0]) for _ in range(2)][1]
             self._count = min(len(self.contact), max(1, int(SLICE_MS / usual_ms)))
@@ -95,7 +95,7 @@ class _Timed:
     def round(self) -> None:
         """Time the next frames."""
         if self._count > 1:
-            self._step(self.contact[self._next])  # what ran before has left nothing of ours in the caches
+            self._step(self.contact[self._next])  # warms the caches
         found = np.empty((self._count, 1 + len(STAGES)))
         for k in range(self._count):
             found[k] = self._step(self.contact[self._next])
@@ -110,5 +110,5 @@ class _Timed:
     def _step(self, image: U8) -> F64:
         self._t_ns += FRAME_NS
         stages = stages_ms(self.made, Frame(0, self._t_ns, 0, image), work_ns)
-        without = sum(ms for name, ms in stages.items() if name not in ("shear", "sigma"))  # nobody has asked for it
+        without = sum(ms for name, ms in stages.items() if name not in ("shear", "sigma"))  # not requested
         return np.array([without, *(stages.get(name, np.nan) for name in STAGES)])

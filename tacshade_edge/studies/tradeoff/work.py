@@ -1,4 +1,4 @@
-"""What a setting costs on this machine: weigh all in parallel, then time them one at a time."""
+"""Measure what settings cost on this machine: memory in parallel, then time one by one."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def weigh_and_time(
     Parameters
     ----------
     rows : sequence
-        Of each setting, sensor and image (`score_settings`).
+        Rows of each setting, sensor and image (`score_settings`).
 
     Returns
     -------
     (tuple of Point, float)
-        And how busy the machine was (`time_settings`).
+        The points, and how busy the machine was (`time_settings`).
 
     Raises
     ------

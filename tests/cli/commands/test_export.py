@@ -217,7 +217,7 @@ def test_an_unreadable_image_is_left_out_and_told(recording: Path, capsys: pytes
 def test_without_a_calibration_it_asks_for_one(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (recording / "calibration.npz").unlink()
     assert export(recording, "csv") == 78
-    assert "expected one, or --calibration CAL.npz" in capsys.readouterr().err
+    assert "contains no calibration.npz; pass --calibration CAL.npz" in capsys.readouterr().err
     assert sorted(path.name for path in recording.parent.iterdir()) == ["rec"]
 
 

@@ -236,7 +236,7 @@ def test_a_folder_that_cannot_be_made_names_its_setting(
     start("run")
     assert record(tmp_path, "1") == 1
     said = f"tacshade-edge: {tmp_path / 'recs'}: cannot write it: File exists; "
-    assert capsys.readouterr().err == f"{said}set recorder.folder to a folder that the daemon may write\n"
+    assert capsys.readouterr().err == f"{said}set recorder.folder to a folder that the daemon can write to\n"
 
 
 @pytest.fixture(autouse=True)
