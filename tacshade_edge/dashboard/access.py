@@ -1,4 +1,4 @@
-"""Which pages may open the WebSocket: whoever may, may command the hand."""
+"""Which pages may open the WebSocket: such a page can command the hand."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from urllib.parse import urlsplit
 
 
 def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
-    """Why a WebSocket request is refused; empty when it may go on.
+    """Return why a WebSocket request is rejected; empty when it may proceed.
 
-    Any web site that is open in the user's browser can try to connect to this server; the browser states its address as
-    `origin`. It has to be ours: the `host` that the browser connected to. A site can also give its own name our
-    address (DNS rebinding), and then both agree: so a name has to be one that cannot be somebody else's.
+    Any web site open in the user's browser can try to connect to this server; the browser states the site's address as
+    `origin`. It must match ours: the `host` that the browser connected to. A site can also point its own name at our
+    address (DNS rebinding), and then both agree: so a name must be one that nobody else can own.
 
     Parameters
     ----------
     origin : str or None
-        The header ``Origin``; None from a program that is no browser, which needs no trick to get here.
+        The header ``Origin``; None from a program other than a browser, which needs no such trick.
     host : str or None
         The header ``Host``.
     allowed_origins : collection of str
-        Further pages, such as ``https://hand.example.org`` of a proxy in front.
+        Origins of further pages, such as ``https://hand.example.org`` of a reverse proxy.
     """
     if origin is None or origin.lower() in allowed_origins:
         return ""

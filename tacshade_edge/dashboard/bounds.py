@@ -1,4 +1,4 @@
-"""How many connections the page's server holds, and how much for each: whoever reaches the port can open them."""
+"""Limits on the connections of the page's server and on their buffers: anyone who reaches the port can open them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tacshade_edge.devices.listener import Connections
 _log = logging.getLogger(__name__)
 
 CONNECTIONS_MAX: Final = 48
-"""Of pages, of requests for files, and of what has not said yet what it is; what is more is closed at once."""
+"""Pages, file requests and connections that have sent nothing yet; the server closes any further one at once."""
 PAGES_MAX: Final = 16
-"""WebSockets; each is a connection to the broker too, which holds up to 20 messages for one that does not read."""
+"""WebSockets; each also opens a connection to the broker, which queues up to 20 messages if the page does not read."""
 UNSENT_BYTES_MAX: Final = 1 << 20
-"""What a peer may make us answer (pongs) without reading it; our own messages wait long before."""
+"""Answers (pongs) in bytes that a peer may leave unread; our own messages wait long before that."""
 
 
 class Bounds:
-    """What is open now, and how many were turned away."""
+    """The open connections and pages, and the number turned away."""
 
     def __init__(self) -> None:
         self._connections = Connections(CONNECTIONS_MAX)
@@ -30,21 +30,21 @@ class Bounds:
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
-        """Count a connection; False when there are too many."""
+        """Count a connection; return False when too many are open."""
         if admitted := self._connections.admit(connection):
             return admitted
         self._turn_away(f"{CONNECTIONS_MAX} connections are already open, the limit")
         return False
 
     def admit_page(self, connection: ServerConnection) -> str:
-        """Count a connection as a page's; why not, when there are too many."""
+        """Count a connection as a page; return why it is rejected when too many are open, else an empty text."""
         if len(self._pages) >= PAGES_MAX:
             return self._turn_away(f"{PAGES_MAX} pages are already open, the limit")
         self._pages.add(connection)
         return ""
 
     def release(self, connection: ServerConnection) -> None:
-        """A page is over."""
+        """Remove a page that has ended."""
         self._pages.discard(connection)
 
     def _turn_away(self, why: str) -> str:
@@ -54,7 +54,7 @@ class Bounds:
 
 
 def bounded(bounds: Bounds) -> type[ServerConnection]:
-    """The kind of connection that keeps to `bounds`."""
+    """Return the connection class that enforces `bounds`."""
 
     class Connection(ServerConnection):
         def connection_lost(self, exc: Exception | None) -> None:
@@ -71,7 +71,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
 
 
 def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Exception handler of a loop: no traceback for what the system refuses, such as one more open file."""
+    """Handle a loop's exception: no traceback for what the system refuses, such as one more open file."""
     if isinstance(error := context.get("exception"), OSError):
         _log.warning("%s: %s", context.get("message", "the system refused a connection"), error.strerror or error)
     else:

@@ -1,8 +1,8 @@
 """MQTT over WebSocket to the broker's TCP port, byte by byte.
 
-mosquitto has a WebSocket listener of its own, but Debian 12's stalls on messages above about 4 KB, and a height map has
-10 to 600. What passes here is not looked into, but where pages may only look (`read_only`): user, password and
-permissions are between the page and the broker.
+mosquitto has a WebSocket listener, but Debian 12's stalls on messages above about 4 KB, and a height map has 10 to 600.
+The bridge does not inspect the bytes, except for read-only pages (`read_only`): user, password and permissions are
+between the page and the broker.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from tacshade_edge.errors import DecodeError
 
 _log = logging.getLogger(__name__)
 
-# From the page come requests of at most 4 KiB, an acknowledgement, a ping.
+# A page sends requests of at most 4 KiB, acknowledgements and pings.
 FROM_PAGE_BYTES_MAX: Final = 1 << 16
 _CHUNK_BYTES: Final = 1 << 16
 _CONNECT_S: Final = 3.0
 STALL_S: Final = 10.0
-"""A page that takes no 64 KiB in so long is closed."""
+"""The server closes a page that takes longer to accept 64 KiB."""
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 _BINARY_ONLY: Final = 1003
 _NOT_ALLOWED: Final = 1008
 _REASON_BYTES_MAX: Final = 123
-# A broker whose machine went away without a word is noticed after about 20 s.
+# A broker whose machine vanished without closing the connection is noticed after about 20 s.
 _BROKER_SOCKET: Final = (
     (socket.IPPROTO_TCP, "TCP_NODELAY", 1),
     (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
@@ -47,7 +47,7 @@ _BROKER_SOCKET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Broker:
-    """Where the bytes go.
+    """The address of the broker.
 
     Attributes
     ----------
@@ -61,21 +61,21 @@ class Broker:
     tls: ssl.SSLContext | None = None
 
     def __str__(self) -> str:
-        """HOST:PORT, as the user wrote it."""
+        """Return HOST:PORT, as the user wrote it."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 
 class Bridge:
-    """Carries any number of pages to one broker; each has a TCP connection of its own.
+    """A bridge from any number of pages to one broker; each page has its own TCP connection.
 
-    Both ways wait for the slower side with at most some 100 KB in between: to a page that does not keep up, the broker
-    drops messages by its own rules.
+    Both directions wait for the slower side, with at most about 100 KB in between: if a page does not keep up, the
+    broker drops messages by its own rules.
 
     Parameters
     ----------
     broker : Broker
     read_only : bool
-        Pages may look, and request nothing.
+        Pages may subscribe but not send requests.
     """
 
     def __init__(self, broker: Broker, *, read_only: bool) -> None:
@@ -84,7 +84,7 @@ class Bridge:
         self._away = False
 
     async def carry(self, page: ServerConnection) -> None:
-        """Carry one page until either side ends; the page learns why from the closing frame."""
+        """Connect one page to the broker until either side ends; the closing frame gives the page the reason."""
         try:
             reader, writer = await self._connect()
         except (OSError, TimeoutError) as error:
@@ -131,7 +131,7 @@ async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, only:
 
 
 async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None:
-    """The broker holds messages for a page that does not read, for as long as that page is there."""
+    """Forward until the broker ends; close a stalled page, since the broker queues messages as long as it is there."""
     while chunk := await reader.read(_CHUNK_BYTES):
         try:
             async with asyncio.timeout(STALL_S):
@@ -165,12 +165,12 @@ def _reason(error: OSError | TimeoutError) -> str:
         return "no such host name"
     if isinstance(error, TimeoutError):
         return f"no answer within {_CONNECT_S:.0f} s"
-    # asyncio's own text repeats the addresses, and has no number when there were several, as localhost often has.
+    # asyncio's own text repeats the addresses, and has no errno if there were several, as with localhost.
     if isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in str(error):
         return "connection refused"
     return os.strerror(error.errno) if error.errno else str(error)
 
 
 def _short(reason: str) -> str:
-    """A closing frame holds 123 bytes of reason."""
+    """Return the reason cut to the 123 bytes that a closing frame can hold."""
     return reason.encode()[:_REASON_BYTES_MAX].decode(errors="ignore")

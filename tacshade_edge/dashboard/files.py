@@ -1,4 +1,4 @@
-"""The page's files, held in memory: what is not in the table does not exist."""
+"""The page's files, held in memory: the server serves nothing else."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from typing import Final
 
-# Python's own table of types is the machine's, and a module of another type is not executed.
+# Python's own table of types depends on the machine, and browsers do not execute a module of a wrong type.
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -24,7 +24,7 @@ _HTML: Final = b'<html lang="en">'
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """One file as it is sent.
+    """One file as the server sends it.
 
     Attributes
     ----------
@@ -40,14 +40,14 @@ class File:
 
 
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
-    """Every file of the page by its path in the URL; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
+    """Load every file of the page by its URL path; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
 
     Parameters
     ----------
     read_only : bool
-        The page learns that it may request nothing.
+        Mark the page as one that may not send requests.
     recordings : bool
-        The page learns that there is a list of recordings.
+        Mark the page as one with a list of recordings.
     """
     found = dict(_walk(resources.files(__package__) / "static", ""))
     index = found["/index.html"]
@@ -57,10 +57,10 @@ def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File
 
 
 def security_headers(files: Mapping[str, File]) -> dict[str, str]:
-    """Headers of every answer: the page may load its own files, talk to its own server, and nothing else.
+    """Return the headers of every answer: the page may only load its own files and connect to its own server.
 
-    The import map cannot be a file of its own yet: it is the one inline script, allowed by its hash. ``blob:`` is
-    for the camera's picture, and for the worker whose timers mqtt.js uses to keep the connection in a hidden tab.
+    The import map cannot be a separate file yet: it is the one inline script, allowed by its hash. ``blob:`` allows
+    the camera's picture, and the worker whose timers mqtt.js uses to keep the connection alive in a hidden tab.
     """
     inline = re.findall(rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL)
     hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline)
@@ -73,7 +73,7 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",
         "Cross-Origin-Resource-Policy": "same-origin",
-        # Ask every time, get 304 mostly: after an upgrade there is no page that is half old.
+        # The browser revalidates every time, mostly with 304: after an upgrade no page mixes old and new files.
         "Cache-Control": "no-cache",
     }
 

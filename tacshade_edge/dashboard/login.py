@@ -1,4 +1,4 @@
-"""Who may see a page that is opened to a network: whoever has its token."""
+"""Access to a page that is open to a network: only with its token."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 WRONG_MAX: Final = 10
 PERIOD_S: Final = 60.0
-"""From one address so many wrong tokens in so long; what comes after is refused unseen."""
+"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens unchecked."""
 
 _ADDRESSES_MAX: Final = 256
 _COOKIE_S: Final = 30 * 24 * 3600
@@ -23,27 +23,27 @@ class _Tries:
 
 
 def offered(authorization: str | None) -> str | None:
-    """The token in a request's header ``Authorization: Bearer``; None without one, such as with a proxy's own login."""
+    """Return the token of the header ``Authorization: Bearer``; None without one, as with a proxy's own login."""
     scheme, _, token = (authorization or "").partition(" ")
     return token if scheme.lower() == "bearer" else None
 
 
 class Login:
-    """Compares tokens, and counts the wrong ones of each address.
+    """A check of tokens that counts the wrong ones of each address.
 
     Parameters
     ----------
     token : str
     cookie : str
-        Name of the cookie that keeps the token in the browser. Browsers do not part the servers of one machine by
-        their ports, so it is named by the port.
+        Name of the cookie that keeps the token in the browser. It contains the port, since browsers share cookies
+        between all ports of a machine.
     secure : bool
-        The page is served over TLS, so the cookie is sent over nothing else.
+        The page is served over TLS, so browsers send the cookie only over TLS.
 
     Attributes
     ----------
     wrong : int
-        Wrong tokens so far.
+        Number of wrong tokens so far.
     """
 
     def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
@@ -55,14 +55,14 @@ class Login:
         self.wrong = 0
 
     def kept(self, cookies: str | None) -> str | None:
-        """The token in a request's header ``Cookie``; None without one."""
+        """Return the token of a request's header ``Cookie``; None without one."""
         pairs = (pair.strip().partition("=") for pair in (cookies or "").split(";"))
         return next((value for name, _, value in pairs if name == self._cookie), None)
 
     def refusal(self, offered: str | None, address: str, now_s: float) -> HTTPStatus | None:
-        """Why a request is refused; None when it may go on.
+        """Return the status that rejects a request; None when it may proceed.
 
-        The same wrong token again is no new try: a page that was open when the token changed asks every second.
+        Repeating a wrong token is no new try: a page that was open when the token changed retries every second.
         """
         tries = self._tries.get(address)
         if tries is not None and now_s - tries.since_s > PERIOD_S:

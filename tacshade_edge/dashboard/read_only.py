@@ -1,6 +1,6 @@
-"""What a page may send to the broker that only looks: it logs in, subscribes and acknowledges, and publishes nothing.
+"""A filter for read-only pages: a page may log in, subscribe and acknowledge, but not publish.
 
-This is the one place where the bytes of a page are looked into, packet by packet (MQTT 3.1.1 and 5, section 2.1).
+Only this module inspects the bytes of a page, packet by packet (MQTT 3.1.1 and 5, section 2.1).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from tacshade_edge.errors import DecodeError
 
 PACKET_BYTES_MAX: Final = 1 << 16
 CLIENT_ID: Final = b"page-"
-"""How a page's client identifier begins, or it is empty: one of somebody else would end his connection."""
+"""Prefix of a page's client identifier unless that is empty: another client's identifier would end its connection."""
 
 _CONNECT: Final = 1
 _PUBLISH: Final = 3
@@ -19,25 +19,25 @@ _PUBLISH: Final = 3
 _PASSING: Final = (4, 5, 6, 7, 8, 10, 12, 14)
 _CLEAN: Final = 0x02
 _WILL: Final = 0x04
-# Of CONNECT in MQTT 5: bytes by identifier. Session expiry, request problem and response information, receive maximum,
-# topic alias maximum, maximum packet size.
+# CONNECT properties of MQTT 5, bytes by identifier: session expiry, request problem and response information, receive
+# maximum, topic alias maximum, maximum packet size.
 _SESSION_EXPIRY: Final = 0x11
 _PROPERTIES: Final = {_SESSION_EXPIRY: 4, 0x17: 1, 0x19: 1, 0x21: 2, 0x22: 2, 0x27: 4}
 
 
 class ReadOnly:
-    """Lets whole packets of one page pass."""
+    """A filter that passes whole packets of one page."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def passed(self, data: bytes) -> bytes:
-        """The packets that are whole now, as they came.
+        """Return the packets that are complete now, unchanged.
 
         Raises
         ------
         DecodeError
-            One of them would do more than look, or is no MQTT; none of these is to be sent.
+            One of them would do more than read, or is not MQTT; the caller must send none of them.
         """
         data = self._rest + data
         end = 0
@@ -49,7 +49,7 @@ class ReadOnly:
 
 
 def _packet_bytes(data: bytes, start: int) -> int | None:
-    """Length of the packet that begins there; None while it is not whole. Raises DecodeError."""
+    """Return the length of the packet at `start`; None while it is incomplete. Raises DecodeError."""
     found = _varint(data, start + 1)
     if found is None:
         return None
@@ -112,7 +112,7 @@ def _after_properties(packet: bytes, at: int) -> int:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int] | None:
-    """A variable byte integer and where it ends; None where the data does. Raises DecodeError."""
+    """Return a variable byte integer and the index after it; None if the data ends first. Raises DecodeError."""
     value = 0
     for place in range(4):
         if at + place >= len(data):

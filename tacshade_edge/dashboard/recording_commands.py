@@ -1,4 +1,4 @@
-"""What a page asks about recordings, one command a WebSocket: list, download, delete, play."""
+"""A page's commands on recordings, one per WebSocket: list, download, delete, play."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from tacshade_edge.quoting import escaped, shown
 _log = logging.getLogger(__name__)
 
 PLAYED_AS: Final = "recording"
-"""The sensor that a played recording is on the broker."""
+"""Sensor ID of a played recording on the broker."""
 _ASK_S: Final = 5.0
 _END_S: Final = 3.0
 _READ_ONLY: Final = ("list", "download")
 
 
 class RecordingCommands:
-    """Carries out the commands of pages on one folder; at most one recording is played at a time.
+    """The commands of pages on one folder; at most one recording plays at a time.
 
     Parameters
     ----------
     folder : Path or None
-        None: the page lists no recordings.
+        None rejects every command.
     broker : Broker
-        Where a recording is played to.
+        Broker that receives a played recording.
     read_only : bool
-        Pages may list and download.
+        Pages may only list and download.
     """
 
     def __init__(self, folder: Path | None, broker: Broker, *, read_only: bool) -> None:
@@ -49,7 +49,7 @@ class RecordingCommands:
         self._player = asyncio.Lock()
 
     async def serve(self, page: ServerConnection) -> None:
-        """Answer one command and close; a failure is one line in ``error``."""
+        """Answer one command; ``error`` describes a failure in one line."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             try:
                 async with asyncio.timeout(_ASK_S):
@@ -90,13 +90,13 @@ class RecordingCommands:
                 await page.send(piece)
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
-        """Play it for as long as the page holds this connection."""
+        """Play a recording for as long as the page keeps this connection open."""
         if self._broker.tls is not None:
             raise DeviceError(
                 "the broker uses TLS: play the recording with `tacshade-edge replay --play --config FILE`"
             )
         try:
-            async with asyncio.timeout(_END_S + 1.0):  # the one before may just be ending
+            async with asyncio.timeout(_END_S + 1.0):  # the previous one may still be ending
                 await self._player.acquire()
         except TimeoutError:
             raise DeviceError("another recording is already playing here") from None

@@ -1,4 +1,4 @@
-"""The recordings in one folder: listed, sent as a tar, deleted. Names come from whoever opened the page."""
+"""List, archive and delete the recordings in one folder. Their names come from the page, so they are untrusted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ABOUT: Final = "recording.json"
 _SIGNS: Final = (_ABOUT, "frames.csv", "frames.csv.part", "000.mcap", "000.mcap.part")
 _ABOUT_BYTES_MAX: Final = 1 << 20
 _STILL_S: Final = 10.0
-"""A recording that has no end yet and grew so recently is still being written."""
+"""An unfinished recording that grew within this time (s) is still being written."""
 _CHUNK_BYTES: Final = 1 << 18
 _BLOCK: Final = tarfile.BLOCKSIZE
 _NAME: Final = re.compile(RECORD_NAME)
@@ -33,18 +33,18 @@ _NAME: Final = re.compile(RECORD_NAME)
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording of the list.
+    """One recording in the list.
 
     Attributes
     ----------
     name : str
-        As the other functions take it: ``NAME``, or ``SENSOR/NAME`` of several sensors.
+        Name for `find`: ``NAME``, or ``SENSOR/NAME`` with several sensors.
     frames, size_bytes : int or None
-        None where its writer has not ended it.
+        None if its writer has not finished it.
     began_ns : int
-        Unix time of its first frame, or of its folder.
+        Unix time of its first frame, or else of its last change.
     is_growing : bool
-        It is still being written.
+        Whether it is still being written.
     """
 
     name: str
@@ -54,12 +54,12 @@ class Listed:
     is_growing: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the fields for JSON."""
         return asdict(self)
 
 
 def listed(folder: Path) -> list[Listed]:
-    """The newest recordings of a folder and of the folders in it, the newest first, at most `LISTED_MAX`.
+    """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`.
 
     Raises
     ------
@@ -80,12 +80,12 @@ def listed(folder: Path) -> list[Listed]:
 
 
 def find(folder: Path, name: object) -> Path:
-    """The recording of this name.
+    """Return the path of the recording with this name.
 
     Raises
     ------
     DeviceError
-        No name of a recording, no recording, one that is still being written, or a link out of the folder.
+        The name is invalid, or it names no recording, one that is still being written, or a symbolic link.
     """
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
@@ -103,12 +103,12 @@ def find(folder: Path, name: object) -> Path:
 
 
 def delete(path: Path) -> None:
-    """Delete what `find` found.
+    """Delete a recording that `find` returned.
 
     Raises
     ------
     DeviceError
-        The system does not allow it; a part may be gone.
+        The system does not allow it; some files may already be deleted.
     """
     try:
         shutil.rmtree(path)
@@ -117,17 +117,17 @@ def delete(path: Path) -> None:
 
 
 def tar_bytes(path: Path) -> int:
-    """How many bytes `tar` gives, as long as nothing changes. Raises DeviceError."""
+    """Return how many bytes `tar` yields if nothing changes. Raises DeviceError."""
     return sum(_BLOCK + _padded(size) for _, size, _ in _files(path)) + 2 * _BLOCK
 
 
 def tar(path: Path) -> Iterator[bytes]:
-    """The regular files of a recording as an uncompressed tar, in pieces; links in it are left out.
+    """Yield the regular files of a recording as an uncompressed tar, in pieces, without its links.
 
     Raises
     ------
     DeviceError
-        A file cannot be read, or became shorter.
+        A file cannot be read, or has shrunk.
     """
     for file, size, mtime_s in _files(path):
         info = tarfile.TarInfo(f"{path.name}/{file.name}")
@@ -153,7 +153,7 @@ def _padded(size: int) -> int:
 
 
 def _files(path: Path) -> list[tuple[Path, int, float]]:
-    """The regular files, in order: path, bytes, time of change."""
+    """Return the regular files in order: path, size in bytes, modification time in s."""
     try:
         with os.scandir(path) as entries:
             found = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
@@ -163,7 +163,7 @@ def _files(path: Path) -> list[tuple[Path, int, float]]:
 
 
 def _names(folder: Path) -> list[str]:
-    """Folders that a recording can be called as; never links."""
+    """Return the subfolders with a valid name of a recording, without links."""
     try:
         with os.scandir(folder) as entries:
             found = [entry.name for entry in entries if _NAME.match(entry.name) and entry.is_dir(follow_symlinks=False)]
@@ -181,7 +181,7 @@ def _look_at(folder: Path, name: str) -> Listed:
     try:
         changed_s = max((path / sign).stat().st_mtime for sign in ("", *_SIGNS) if (path / sign).exists())
     except (OSError, ValueError):
-        changed_s = 0.0  # it was deleted meanwhile
+        changed_s = 0.0  # deleted in the meantime
     about: dict[str, Any] = {}
     if is_whole := (path / _ABOUT).is_file():
         try:

@@ -34,19 +34,19 @@ _WEBSOCKETS: Final = ("/mqtt", "/recordings")
 _METHODS: Final = ("GET", "HEAD")
 _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
-_OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # without a token
+_OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # served without a token
 _REFUSED: Final = {
     HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start or that its token file holds",
     HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
 }
-_SPEAK_S: Final = 5  # until a request is there, and until TLS is
+_SPEAK_S: Final = 5  # limit for a request, and for the TLS handshake
 _FRAMES_WAITING_MAX: Final = 4
 _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
 
 
 class Pages:
-    """Answers HTTP requests; lets the WebSocket's pass that may.
+    """The answers to HTTP requests; permitted WebSocket requests pass.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Pages:
         See `access.refusal`.
     bounds : Bounds
     tokens : Login or None
-        Without it everybody may see the page who reaches it.
+        None lets everybody who reaches the page see it.
     read_only, recordings : bool
         See `files.load`.
     """
@@ -76,8 +76,8 @@ class Pages:
         self._refused = ""
 
     def answer(self, page: ServerConnection, request: Request) -> Response | None:
-        """The response to a plain request or to one that may not pass; None opens the WebSocket."""
-        method = getattr(request, "method", "GET")  # before websockets 17 it refuses all others by itself
+        """Return the response to a plain or rejected request; None opens the WebSocket."""
+        method = getattr(request, "method", "GET")  # websockets before 17 rejects all others by itself
         if method not in _METHODS:
             return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD", {"Allow": ", ".join(_METHODS)})
         response = self._get(page, request)
@@ -101,7 +101,7 @@ class Pages:
         return self._response(HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type})
 
     def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
-        """The response to a request without the token, or to one that brings it; None where it may go on."""
+        """Return the response to a request without the token or to a login; None if the request may proceed."""
         try:
             offered, kept = login.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
         except LookupError:
@@ -125,12 +125,12 @@ class Pages:
             return self._text(HTTPStatus.UPGRADE_REQUIRED, "expected a WebSocket from the page")
         try:
             refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
-        except LookupError:  # a header twice
+        except LookupError:  # a duplicate header
             refused = "found Origin or Host more than once, expected each once"
         if not refused:
             full = self._bounds.admit_page(page)
             return self._text(HTTPStatus.SERVICE_UNAVAILABLE, full) if full else None
-        if refused != self._refused:  # a browser hides the answer from its user, and asks again every second
+        if refused != self._refused:  # a browser hides the answer from its user, and retries every second
             _log.warning("rejected a WebSocket: %s", escaped(refused))
         self._refused = refused
         return self._text(HTTPStatus.FORBIDDEN, refused)
@@ -159,32 +159,32 @@ async def run(
     read_only: bool = False,
     recordings: Path | None = None,
 ) -> None:
-    """Serve until `stop` is set; less than a second later every connection is closed.
+    """Serve until `stop` is set; every connection is closed less than a second later.
 
     Parameters
     ----------
     broker : Broker
     host, port : str, int
-        To listen on; port 0 takes a free one.
+        Address to listen on; port 0 selects a free one.
     allowed_origins : collection of str
     listening : callable
-        ``listening(host, port)``, once, when the port is open.
+        ``listening(host, port)``, called once when the port is open.
     stop : asyncio.Event
     tls : ssl.SSLContext, optional
-        The page is served over TLS, and nothing else.
+        Serve the page over TLS only.
     token : str, optional
-        Nothing is shown without it.
+        Required to see the page.
     read_only : bool
-        No requests of a page are passed on.
+        Forward no requests of a page.
     recordings : Path, optional
-        Folder whose recordings pages list, download and, unless read-only, play and delete.
+        Folder of recordings that pages may list, download and, unless read-only, play and delete.
 
     Raises
     ------
     DeviceError
         The port cannot be opened.
     """
-    # A port scanner or a browser that changed its mind is no news, and would be a traceback each.
+    # A port scanner or a browser that gives up is not worth a log entry; each would cause a traceback.
     quiet = logging.getLogger("websockets.server")
     quiet.setLevel(logging.CRITICAL)
     asyncio.get_running_loop().set_exception_handler(report_device_errors)
@@ -227,6 +227,6 @@ async def run(
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()
-    # A connection that never said anything would be waited for as long as it may take to speak: 10 s.
+    # The server would wait up to 10 s for a connection that never sent anything.
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(server.wait_closed(), _STOP_S)

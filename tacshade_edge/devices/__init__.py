@@ -1,1 +1,1 @@
-"""Whatever touches the outside: cameras, files, the broker. They hold no policy and no threads."""
+"""Access to the outside world: cameras, serial ports, the broker. No policy, no threads except paho's."""

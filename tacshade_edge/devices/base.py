@@ -1,4 +1,4 @@
-"""The one interface of every frame source."""
+"""The interface that every frame source implements."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from tacshade_edge.types import Frame
 
 
 class FrameSource(Protocol):
-    """Where frames come from. A source blocks in `read`; the daemon's grab thread keeps the newest.
+    """A source of frames. It blocks in `read`; the daemon's grab thread keeps the newest frame.
 
-    Life: ``open`` → ``read`` or ``skip`` … → ``close``; after a `DeviceError` from one of them the caller
-    calls ``close`` and may ``open`` again (a source keeps counting `Frame.seq` across a reopening).
+    Life cycle: ``open`` → ``read`` or ``skip`` … → ``close``. After any of them raises `DeviceError`, the caller
+    calls ``close`` and may ``open`` again (a source keeps counting `Frame.seq` when it is reopened).
     """
 
     @property
     def dropped(self) -> int:
-        """Frames known or inferred to be lost before this process saw them, since the first open."""
+        """Number of frames known or inferred to be lost before this process saw them, since the first open."""
         ...
 
     def open(self) -> None:
-        """Make ready to read. Raises DeviceError (absent, busy, not a camera) or ConfigError (can never work)."""
+        """Prepare to read. Raises DeviceError (absent, busy, not a camera) or ConfigError (can never work)."""
         ...
 
     def read(self) -> Frame | None:
-        """The next frame; None when a finite source has ended. Raises DeviceError when the device is lost."""
+        """Return the next frame; None when a finite source has ended. Raises DeviceError when the device is lost."""
         ...
 
     def skip(self) -> bool:
-        """Let the next frame go by without looking at it; otherwise as `read`: False when a finite source has ended."""
+        """Discard the next frame; return False when a finite source has ended. Waits and raises as `read` does."""
         ...
 
     def close(self) -> None:
@@ -36,5 +36,5 @@ class FrameSource(Protocol):
         ...
 
     def describe(self) -> dict[str, str | int | float]:
-        """What was negotiated (format, size, rate, time stamp source), for ``status/camera``."""
+        """Return the negotiated settings (format, size, rate, time stamp source), for ``status/camera``."""
         ...

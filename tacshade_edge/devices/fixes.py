@@ -1,4 +1,4 @@
-"""How a person fixes what the daemon reports of broker, camera and frames: one text for its log and for `doctor`."""
+"""How a person fixes what the daemon reports about broker, camera and frames, for its log and for `doctor`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OF_CSI_CAMERAS = {
     ReasonCode.STALLED: RIBBON_CABLE,
 }
 
-# What MQTT 5 answers to CONNECT.
+# Reason codes of CONNACK, MQTT 5.
 _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
 # X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
@@ -55,12 +55,12 @@ BROKERS_LOG = "see the broker's log: sudo journalctl -u mosquitto"
 
 
 def with_fix(reason: Reason, fix: str | None) -> str:
-    """A line of a log: what is wrong, and what fixes it where that is known."""
+    """Return a log line: what is wrong and, if known, how to fix it."""
     return f"{reason}; to fix it: {fix}" if fix else str(reason)
 
 
 def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str | None) -> str:
-    """What to do about a broker that could not be reached."""
+    """Return what to do about a broker that could not be reached."""
     match error:
         case socket.gaierror():
             return "is mqtt.host spelled correctly, and is the network up? Try: getent hosts " + host
@@ -80,7 +80,7 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
 
 
 def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
-    """What to do about a certificate that was refused."""
+    """Return what to do about a rejected certificate."""
     if error.verify_code in _OUT_OF_TIME:
         return "check this machine's clock, or renew the broker's certificate"
     if error.verify_code in _OTHER_NAME:
@@ -89,23 +89,23 @@ def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
 
 
 def no_answer_fix(tls_ca: str | None) -> str:
-    """What to do about something that takes connections and does not answer as a broker."""
+    """Return what to do about a server that accepts connections but does not answer as a broker."""
     asked = "is mqtt.port the port of an MQTT broker (1883)?"
     return asked if tls_ca else f"{asked} If it is a TLS port (8883), set mqtt.ca_file"
 
 
 def is_not_authorised(code: int) -> bool:
-    """Whether a broker refuses the user, by its answer to CONNECT."""
+    """Whether the reason code of the broker's CONNACK means that it rejects the user."""
     return code in _NOT_AUTHORISED
 
 
 def is_other_version(code: int) -> bool:
-    """Whether a broker does not speak MQTT 5, by its answer to CONNECT."""
+    """Whether the reason code of the broker's CONNACK means that it does not support MQTT 5."""
     return code == _BAD_VERSION
 
 
 def refusal_fix(code: int, username: str | None) -> str:
-    """What to do about a broker that answers CONNECT with this reason code."""
+    """Return what to do about a broker that answers CONNECT with this reason code."""
     if is_not_authorised(code) and username is None:
         return "the broker requires a user: set mqtt.username and mqtt.password_file"
     if is_not_authorised(code):

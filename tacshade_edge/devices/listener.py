@@ -1,4 +1,4 @@
-"""A TCP socket that many may knock at: no more are let in than it is made for."""
+"""A listening TCP socket that limits how many connections are open."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Connections:
-    """What is open now, and how many were turned away."""
+    """The open connections, at most `most`, and the number turned away."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -16,7 +16,7 @@ class Connections:
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
-        """Count a connection; False when there are too many."""
+        """Count a connection; return False when too many are open."""
         self._open = [other for other in self._open if other.fileno() >= 0]
         if len(self._open) >= self._most:
             self.turned_away += 1
@@ -26,15 +26,15 @@ class Connections:
 
 
 class Listener(socket.socket):
-    """A listening TCP socket that accepts no more than `admit` lets in.
+    """A listening TCP socket that accepts only the connections that `admit` lets in.
 
-    It asks before a connection costs anything: with TLS it would cost 256 KiB before asyncio reports it, and in a
-    threaded server a thread.
+    It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before asyncio reports
+    it, and in a threaded server it costs a thread.
 
     Raises
     ------
     OSError
-        There is no such address, or its port is taken.
+        The address does not exist, or its port is in use.
     """
 
     def __init__(self, host: str, port: int, admit: Callable[[socket.socket], bool]) -> None:
@@ -49,7 +49,7 @@ class Listener(socket.socket):
             raise
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection, or ConnectionAbortedError, which asyncio and socketserver pass over."""
+        """Return the next connection; raises ConnectionAbortedError, which asyncio and socketserver ignore."""
         connection, address = super().accept()
         if not self._admit(connection):
             connection.close()

@@ -1,5 +1,5 @@
-// What the page takes of a message. Everything that reaches the broker's topics can come: what cannot be shown is an
-// error here, and is counted; what is too much is cut, before anything is drawn of it.
+// Checks of messages. Anyone who can publish to the broker can send anything: what the page cannot show is an error
+// here and is counted; what is too long is cut before it is drawn.
 
 export const TEXT_MAX = 300, ENTRIES_MAX = 100, PARTS_MAX = 32, SENSORS_MAX = 64, FINGERS_MAX = 16;
 const BYTES_MAX = 1 << 20, DEPTH_MAX = 6;
@@ -8,18 +8,18 @@ const OBJECTS_MAX = 64, QUANTITIES_MAX = 32, QUANTITY_MAX = 1e6;
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
 const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
-const GEOMETRY = { // least and most; a camera without a distance is orthographic
+const GEOMETRY = { // minimum and maximum; a camera without a distance is orthographic
   skin_radius_mm: [0.1, 1000], visible_half_angle_deg: [1, 90], mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
   row_c: [-AWAY_MAX_PX, AWAY_MAX_PX], col_c: [-AWAY_MAX_PX, AWAY_MAX_PX], image_height_px: [1, SIDE_MAX], image_width_px: [1, SIDE_MAX],
 };
 const OF_A_PINHOLE = { camera_distance_mm: [0, 1e6], f_px: [1e-3, 1e6] };
 
-/** A text of at most so many characters. */
+/** The text, cut to at most `most` characters. */
 export function cut(text, most = TEXT_MAX) {
   return text.length > most ? `${text.slice(0, most)} … (${text.length} characters)` : text;
 }
 
-/** The object that a JSON message is, cut. Throws where it is none. */
+/** The object in a JSON message, with long parts cut. Throws if it is no object. */
 export function read(payload) {
   if (payload.length > BYTES_MAX) throw new Error("the message is too large");
   const value = JSON.parse(new TextDecoder().decode(payload));
@@ -37,7 +37,7 @@ function bounded(value, depth = 0) {
   return Object.fromEntries(kept);
 }
 
-/** The decoded message, where it is of that kind and can be drawn; `name` is that of its values. Throws elsewhere. */
+/** The decoded message, if it contains values called `name` and can be drawn; throws otherwise. */
 export function checkDecoded(message, name) {
   if (!(name in message)) throw new Error(`not a message with ${name}`);
   if (name === "points_mm") {
@@ -51,7 +51,7 @@ export function checkDecoded(message, name) {
   return message;
 }
 
-/** What an `info` states, where the page can use it; a sensor that is not calibrated has no geometry. */
+/** An `info` that the page can use; throws otherwise. A sensor that is not calibrated has no geometry. */
 export function checkInfo(info) {
   const { geometry, profiles = [], profile } = info;
   if (!Array.isArray(profiles) || ![profile, ...profiles].every((name) => name === undefined || typeof name === "string")) throw new Error("not profiles");
@@ -65,7 +65,7 @@ export function checkInfo(info) {
 
 export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
 
-/** A `touch`: as many names in both of its parts, or null without contact. */
+/** A `touch`: every quantity has its standard deviation; both parts are null without contact. */
 export function checkTouch(message) {
   const { seq, touch, touch_sigma, reason = "" } = message;
   if (!Number.isFinite(seq) || typeof reason !== "string") throw new Error("not a touch");
@@ -78,14 +78,14 @@ export function checkTouch(message) {
   return message;
 }
 
-/** A `status/<part>`; the page reckons with what a replay and a recorder report. */
+/** A `status/<part>`; the page computes with the numbers of a replay. */
 export function checkPart(part) {
   if (typeof part.state !== "string") throw new Error("no state");
   if (part.reason !== undefined && typeof part.reason !== "string") throw new Error("not a reason");
   return checkNumbers(part, NUMBERS_OF_REPLAY);
 }
 
-/** A hand's message, after `decodeHand`. */
+/** A hand's message, decoded by `decodeHand`. */
 export function checkHand(message) {
   const fingers = Object.entries(message.fingers);
   if (fingers.length > FINGERS_MAX) throw new Error("too many fingers");

@@ -1,4 +1,4 @@
-// Greatest depth over the last minute, and when something slipped.
+// Chart of the greatest depth over the last minute, with marks where something slipped.
 
 import { roundTicks } from "./scale.js";
 import uPlot from "./vendor/uPlot.esm.js";
@@ -21,12 +21,12 @@ export class DepthChart {
     this.build();
   }
 
-  /** One value, at the time when it arrived: the sensor's clock is not this machine's. */
+  /** Add a value at its time of arrival: the sensor's clock differs from this machine's. */
   add(depth_mm, slips) {
     const now = performance.now() / 1000, last = this.times.at(-1);
     if (last !== undefined && now - last > GAP_S) {
       this.times.push(last + GAP_S / 2);
-      this.depths.push(null); // nothing was heard: no line
+      this.depths.push(null); // nothing was received: no line
       this.slips.push(null);
     }
     this.times.push(now);

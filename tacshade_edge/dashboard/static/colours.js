@@ -1,6 +1,6 @@
 // Colours of depth and of objects.
 
-// Viridis (matplotlib's, CC0): 256 steps of equal perceived difference, readable in grey and by the colour-blind.
+// Viridis (from matplotlib, CC0): 256 steps of equal perceived difference, readable in grey and for the colour-blind.
 const HEX =
   "44015444025645045745055946075a46085c460a5d460b5e470d60470e61471063471164471365481467481668481769" +
   "48186a481a6c481b6d481c6e481d6f481f70482071482173482374482475482576482677482878482979472a7a472c7a" +
@@ -22,17 +22,17 @@ const HEX =
 export const STEPS = 256;
 export const VIRIDIS = Uint8Array.from({ length: 3 * STEPS }, (_, i) => parseInt(HEX.slice(2 * i, 2 * i + 2), 16));
 
-// The same as pixels of an ImageData; a canvas is little-endian RGBA wherever browsers run today.
+// The same table as pixels of an ImageData; a canvas is little-endian RGBA wherever browsers run today.
 export const PIXELS = Uint32Array.from({ length: STEPS }, (_, i) =>
   ((255 << 24) | (VIRIDIS[3 * i + 2] << 16) | (VIRIDIS[3 * i + 1] << 8) | VIRIDIS[3 * i]) >>> 0);
 
-/** Step of the table for a depth; what is beyond an end of the scale has the colour of that end. */
+/** Step of the table for a depth; a depth beyond an end of the scale gets the colour of that end. */
 export function stepOf(height_mm, scale_mm) {
   const step = Math.round((height_mm / scale_mm) * (STEPS - 1));
   return step < 0 ? 0 : step > STEPS - 1 ? STEPS - 1 : step;
 }
 
-/** Depth in mm of a drawn colour: the table backwards. NaN for a colour that is not in it. */
+/** Depth in mm of a drawn colour, looked up in the table. NaN for a colour that is not in it. */
 export function depthOf(red, green, blue, scale_mm) {
   for (let i = 0; i < STEPS; i++) {
     if (VIRIDIS[3 * i] === red && VIRIDIS[3 * i + 1] === green && VIRIDIS[3 * i + 2] === blue) return (i / (STEPS - 1)) * scale_mm;
@@ -40,14 +40,14 @@ export function depthOf(red, green, blue, scale_mm) {
   return NaN;
 }
 
-// Differences: blue below 0, nearly white at 0, red above.
+// Colours of differences: blue below 0, nearly white at 0, red above.
 export const DIFFERENCES = Uint32Array.from({ length: STEPS }, (_, i) => {
   const part = (2 * i) / (STEPS - 1) - 1, end = part < 0 ? [33, 102, 172] : [178, 24, 43];
   const [red, green, blue] = end.map((value) => Math.round(240 + Math.abs(part) * (value - 240)));
   return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
 });
 
-// Objects, from label 1: Okabe and Ito's, apart for the colour-blind and apart from viridis' blues and greens.
+// Colours of objects, from label 1: Okabe and Ito's, distinct for the colour-blind and from viridis' blues and greens.
 const OBJECTS = ["#e69f00", "#ff5fa2", "#f4f4f4", "#d55e00", "#56b4e9", "#cc79a7", "#8c8c8c", "#f0e442"];
 
 export function objectColour(label) {

@@ -1,4 +1,4 @@
-// Another sensor beside the chosen one, or a moment of its own that is held: both maps on one scale, and their difference.
+// Compare the chosen sensor with another one or with a held moment of its own: both maps on one scale, and their difference.
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
 import { heightAt } from "./geometry.js";
@@ -10,20 +10,20 @@ import { AutoScale, drawBar, drawTicks } from "./scale.js";
 
 const STREAMS = ["height", "contact", "status/replay", "res/replay"];
 const NICE_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40];
-const MOMENT = "#moment"; // no sensor is named so
+const MOMENT = "#moment"; // not a valid sensor name
 const SAME_PX = 2, SAME_MM = 0.1;
 const $ = (id) => document.getElementById(id);
 
 export class Compare {
-  /** link: its subscriptions and requests. decoded(payload, values): null where it is damaged. changed(): there is news. readOnly: nothing may be requested. */
+  /** link(): for subscriptions and requests. decoded(payload, values): null if damaged. changed(): called on news. readOnly: send no requests. */
   constructor({ link, decoded, changed, readOnly }) {
     this.link = link;
     this.readOnly = readOnly;
     this.decoded = decoded;
     this.changed = changed;
     this.sensor = null;
-    this.held = null; // a moment: name, info and state
-    this.seen = null; // what the difference that is shown says
+    this.held = null; // the held moment: name, info and state
+    this.seen = null; // figures of the difference on screen
     drawBar($("compare-bar"));
     drawBar($("difference-bar"), DIFFERENCES);
     $("against").addEventListener("change", () => {
@@ -33,7 +33,7 @@ export class Compare {
     });
   }
 
-  /** The sensors that there are to compare with. */
+  /** Offer these sensors for comparison. */
   offer(names) {
     if (this.sensor !== null && !names.includes(this.sensor)) this.choose(null);
     const key = names.join();
@@ -42,7 +42,7 @@ export class Compare {
     $("against").value = this.held ? MOMENT : this.sensor ?? "";
   }
 
-  /** Keep what is shown of the chosen sensor now, to compare what comes with it. */
+  /** Hold what is shown of the chosen sensor now, to compare later maps with it. */
   hold() {
     const { name, view, info } = this.first ?? {};
     this.choose(null);
@@ -88,7 +88,7 @@ export class Compare {
     this.changed();
   }
 
-  /** What was asked of the chosen recording is asked of the other; a pause is one at the same time of both. */
+  /** Send the other recording the same request as the chosen one; a pause stops both at the same position. */
   follow(body, { position_s }) {
     if (this.sensor === null || !isPlayed(this.view.parts)) return;
     const pause = body.paused === true ? { seek_s: justBefore(position_s) } : {};
@@ -97,7 +97,7 @@ export class Compare {
     });
   }
 
-  /** first: name, view and info of the chosen sensor; sensor: info and state of the other. heights: the view of the chosen sensor's map. */
+  /** Draw. first: name, view and info of the chosen sensor. sensor: info and state of the other. heights: the view of the chosen sensor's map. */
   draw(first, sensor, heights) {
     this.first = first;
     if (this.sensor === null && !this.held) return;
@@ -122,7 +122,7 @@ export class Compare {
     this.showNumbers(first, other);
   }
 
-  /** Both maps in the cells of the first, on one scale that holds the deeper one unless it is fixed, and what the other has more. */
+  /** Draw both maps in the cells of the first, on one scale that covers the deeper one unless it is fixed, and the other less the first. */
   paint(map, { top, left, rows, cols, source, clip }, fixed_mm) {
     const count = rows * cols, others = new Float32Array(count);
     const pictures = ["first", "other", "difference"].map((name) => {
@@ -140,7 +140,7 @@ export class Compare {
       if (a !== a) continue;
       const b = others[at] = heightAt(this.view.map, map.row0 + i * map.step_px, map.col0 + j * map.step_px);
       for (const h of [a, b]) if (h > peak_mm) peak_mm = h;
-      if (i - top !== Math.floor(at / cols) || j - left !== at % cols) continue; // of the rim: the cell beside it counts
+      if (i - top !== Math.floor(at / cols) || j - left !== at % cols) continue; // a rim cell: the cell next to it is counted
       cells++;
       sum_mm += Math.abs(b - a);
       if (Math.abs(b - a) > Math.abs(worst_mm)) {
@@ -178,7 +178,7 @@ const signed = (value, digits) => `${value > 0 ? "+" : ""}${number(value, digits
 
 const emptyView = () => ({ height: null, contact: null, contacts: new Map(), numbers: null, map: null, height_ms: 0, shown_ms: 0, drawnFor: null, parts: new Map() });
 
-/** Whether two sensors see the same skin through the same camera, but for what two calibrations of it differ by. */
+/** Whether two sensors see the same skin through the same camera, within the differences between two calibrations. */
 function isSame(a, b) {
   if (!a || !b) return false;
   const near = (key, most) => Math.abs(a[key] - b[key]) <= most;

@@ -1,11 +1,11 @@
-// The visible disc of a map: what part of its cells is shown, and a rim without steps.
+// The visible disc of a map: the shown part of its cells, and a smooth rim.
 
 const RIM_CELLS = 1.5, DONORS_CELLS = 3;
 
 /**
- * top, left, rows, cols: of the cells that are shown. source: for each of them the map's cell whose value it shows: its
- * own, but just outside the disc the next one inside, so that the rim has a colour up to the circle that cuts it. clip:
- * that circle as a CSS `clip-path` of the picture; empty without a geometry.
+ * top, left, rows, cols: range of the shown cells. source: for each of them, the index of the map's cell whose value it
+ * shows: itself, or just outside the disc the next one inside, so that the rim has a colour up to the clipping circle.
+ * clip: that circle as a CSS `clip-path` of the picture; empty without a geometry.
  */
 export function fitDisc(map, geometry) {
   const within = (centre, first, count) => {

@@ -1,11 +1,11 @@
-// Whether what is shown is the sensor's present. Retained messages say what was, never that it still is.
+// Whether the page shows the sensor's present state. A retained message reports the past, never the present.
 
 const STALE_MS = 3000;
 
 /**
- * view: when what was heard, in performance.now(); retained messages leave these times alone.
- * paused: nothing new is to come. gone: no connection, or the sensor itself says that it does not work, or nothing of it comes at all.
- * frames, health: what is shown of them is old. words: of what is old, with its age; empty when nothing is.
+ * view: arrival times as of performance.now(); retained messages do not change them.
+ * paused: no news is expected. gone: no connection, or the sensor reports that it does not work, or it sends nothing at all.
+ * frames, health: whether the shown ones are old. words: what is old, and its age; empty when nothing is.
  */
 export function freshness(view, { connected, works, state, paused }) {
   const now = performance.now(), since = (at) => (at === null ? Infinity : now - at);

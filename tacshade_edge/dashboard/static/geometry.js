@@ -1,8 +1,8 @@
-// Where a pixel's skin point is, from info.geometry (docs/reference/mqtt.md).
+// Skin points of pixels, from info.geometry (docs/reference/mqtt.md).
 
 /**
- * Point of the deformed skin that a pixel's ray meets, in mm in the sensor frame, into out[at .. at + 2].
- * Eq. 2 for an orthographic camera; for a pinhole the farther point where the ray meets the sphere of radius r - h.
+ * Write the point where a pixel's ray meets the deformed skin, in mm in the sensor frame, into out[at .. at + 2]:
+ * Eq. 2 for an orthographic camera; for a pinhole, the farther intersection with the sphere of radius r - h.
  */
 export function skinPoint(geometry, row, col, height_mm, out, at) {
   const rho = geometry.skin_radius_mm - height_mm, d = geometry.camera_distance_mm;
@@ -21,7 +21,7 @@ export function skinPoint(geometry, row, col, height_mm, out, at) {
   out[at + 2] = s - d;
 }
 
-/** A height map without contact, for a sensor that has not been touched since this page looks. */
+/** A height map without contact, for a sensor that has not been touched since this page opened. */
 export function zeroMap(geometry) {
   const step_px = 4, rows = Math.ceil(geometry.image_height_px / step_px), cols = Math.ceil(geometry.image_width_px / step_px);
   const height_mm = new Float32Array(rows * cols);
@@ -34,7 +34,7 @@ export function zeroMap(geometry) {
   return { seq: null, flags: 0, rows, cols, row0: 0, col0: 0, step_px, height_mm, calibration_crc32: geometry.calibration_crc32 };
 }
 
-/** Height in mm between four cells; a cell outside the disc, or of the edge that the grid leaves out, counts as 0. */
+/** Height in mm, interpolated between four cells; a cell outside the disc or the grid counts as 0. */
 export function heightAt(map, row, col) {
   const y = (row - map.row0) / map.step_px, x = (col - map.col0) / map.step_px, i = Math.floor(y), j = Math.floor(x);
   const cell = (r, c) => {

@@ -1,4 +1,4 @@
-// A hand of several sensors: every finger's map beside each other, and what they touch in the hand's frame.
+// A hand of several sensors: the fingers' maps side by side, and what they touch in the hand's frame.
 
 import { PIXELS, objectColour, stepOf } from "./colours.js";
 import { fitDisc } from "./disc.js";
@@ -16,7 +16,7 @@ const SLIPS = ["sticks", "slips in part", "slips"];
 const $ = (id) => document.getElementById(id);
 
 export class Whole {
-  /** link: its subscriptions. infos: sensor id -> its info. decoded(payload): null where it is damaged. changed(): there is news. damaged(): a message of a hand was not understood. */
+  /** link(): for subscriptions. infos: sensor id -> its info. decoded(payload): null if damaged. changed(): called on news. damaged(): called on an invalid message of a hand. */
   constructor({ link, infos, decoded, changed, damaged }) {
     Object.assign(this, { link, infos, decoded, changed, damaged });
     this.states = new Map(); // hand id -> state
@@ -27,7 +27,7 @@ export class Whole {
     drawBar($("whole-bar"));
   }
 
-  /** Take a message of a hand; false where it is of something else. */
+  /** Process a message of a hand; false if it is another message. */
   take(topic, payload) {
     const [, id, what] = TOPIC.exec(topic) ?? [];
     if (id === undefined) return false;
@@ -49,7 +49,7 @@ export class Whole {
     return true;
   }
 
-  /** Take a finger's height map, where it is one of the hand that is shown. */
+  /** Keep a finger's height map, if the finger belongs to the shown hand. */
   takeHeight(sensor, payload) {
     const finger = this.fingers.get(sensor);
     if (!finger) return;
@@ -113,7 +113,7 @@ export class Whole {
     this.drawn = this.message;
   }
 
-  /** States in words; what is old is grey. */
+  /** Show the states in words; old values are grey. */
   showState() {
     if (this.shown === null) return;
     const state = this.states.get(this.shown), works = state === "online" && this.link()?.connected;
@@ -142,7 +142,7 @@ export class Whole {
     this.drawPlane(objects);
   }
 
-  /** Named fingers as circles, and what they touch as one body, in the plane in which the fingers lie apart the most. */
+  /** Draw the fingers as named circles and what they touch as one body, in the plane in which the fingers are spread most. */
   drawPlane(objects) {
     const skins = [...this.fingers.keys()].flatMap((name) => {
       const { hand_T_sensor, geometry } = this.infos(name) ?? {};
@@ -173,7 +173,7 @@ export class Whole {
     $("whole-axes").textContent = `${AXES[across]} to the right, ${AXES[up]} upwards, ${Math.round(x1 - x0)} mm wide${moved ? `; since it was grasped moved by ${number(moved.by_mm, 1)} mm, turned by ${number(moved.by_deg, 1)}°` : ""}`;
   }
 
-  /** Keep the patches of what is held, where they were when it was grasped; how it has moved since, or null where that is not known. */
+  /** Keep the patches of a held body at their places when it was grasped; return its motion since, or null if unknown. */
   holdBody(objects) {
     const held = objects.filter(({ motion }) => motion && [motion.translation_mm, motion.rotation_deg].every((v) => Array.isArray(v) && v.length === 3 && v.every(Number.isFinite)));
     if (held.length < 2) return (this.body = this.since_ns = null);
@@ -184,7 +184,7 @@ export class Whole {
   }
 }
 
-/** A motion of the hand's message as a function of points, with its inverse as `back`: Rodrigues' rotation about a point, then a translation. */
+/** A motion in the hand's message as a function of points, with its inverse as `back`: Rodrigues' rotation about a point, then a translation. */
 function motionOf({ translation_mm, rotation_deg, about_mm = [0, 0, 0] }) {
   const vector = rotation_deg.map((v) => (v * Math.PI) / 180), angle = Math.hypot(...vector), axis = vector.map((v) => v / (angle || 1));
   const turned = (p, by) => {
@@ -198,7 +198,7 @@ function motionOf({ translation_mm, rotation_deg, about_mm = [0, 0, 0] }) {
   return moved;
 }
 
-/** The convex outline of points (Andrew's monotone chain). */
+/** The convex hull of points (Andrew's monotone chain). */
 function outline(points, kind) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   const chain = (all) => all.reduce((kept, p) => {
@@ -213,7 +213,7 @@ function cross([ax, ay], [bx, by], [cx, cy]) {
   return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
 }
 
-/** A finger's map on its canvas, cut to the visible disc. */
+/** Draw a finger's map on its canvas, clipped to the visible disc. */
 function paint(finger, map, geometry, scale_mm) {
   const { canvas } = finger, grid = [map.rows, map.cols, map.row0, map.col0, map.step_px, geometry?.calibration_crc32, geometry?.radius_px].join();
   if (grid !== finger.grid) {

@@ -1,4 +1,4 @@
-// How the sensor's daemon and this page do, in a person's units. What is null, empty or a program's code is left out.
+// Health of the sensor's daemon and of this page, in readable units. Null and empty values and codes are left out.
 
 import { element, levelOf, number, table } from "./panels.js";
 
@@ -14,7 +14,7 @@ const FOR_PROGRAMS = /(_code|^wall_ns|^t_ns|^seq)$/;
 const OWN = new Set(["frames", "latency_ms", "stages_ms", "uptime_s", "invalid_reason", "degraded_reason"]);
 const $ = (id) => document.getElementById(id);
 
-/** One line while it is folded; the rest is drawn once it is open. */
+/** Draw one line while the panel is folded; the rest once it is open. */
 export function showHealth(health, page) {
   const { frames, delivered_fps, latency_ms, uptime_s } = health ?? {}, lost = frames?.failed ?? 0;
   const words = [
@@ -25,7 +25,7 @@ export function showHealth(health, page) {
   if ($("health").open) $("tables").replaceChildren(...tables(health ?? {}, page).filter(Boolean));
 }
 
-/** One line per `status/<part>`: its state, its reason, then its own details. */
+/** Draw one line per `status/<part>`: its state, its reason, then its details. */
 export function showParts(parts) {
   $("parts").replaceChildren(...[...parts].sort().map(([name, { state, reason, ...details }]) => {
     const badge = element("span", { className: "badge", textContent: state }), rest = facts(details).map(([key, value]) => `${key} ${value}`).join(", ");
@@ -51,7 +51,7 @@ function tables(health, page) {
 
 const ms = (value) => (Number.isFinite(value) ? `${number(value, 1)} ms` : "");
 
-/** What a person can read of an object: [words, value with its unit] for each that has one. */
+/** The readable entries of an object: [words, value with its unit] for each that has a value. */
 function facts(object) {
   return Object.entries(object).filter(([key]) => !FOR_PROGRAMS.test(key)).flatMap(([key, value]) => {
     const [, stem, suffix] = /^(.*?)_?([^_]*)$/.exec(key), unit = typeof value === "number" && stem ? suffix : "";

@@ -1,4 +1,4 @@
-// The height map on its canvas: one canvas pixel per cell, cut to the visible disc.
+// The height map on its canvas: one canvas pixel per cell, clipped to the visible disc.
 
 import { PIXELS, STEPS, depthOf } from "./colours.js";
 import { fitDisc } from "./disc.js";
@@ -19,9 +19,9 @@ export class HeightView {
     this.auto = new AutoScale();
     this.scale_mm = this.auto.mm;
     this.map = null;
-    this.sigma = null; // the newest, of this map or of one before it
+    this.sigma = null; // the newest, which belongs to this map or an earlier one
     this.geometry = null;
-    this.cell = null; // of the pointer: [i, j] in the map
+    this.cell = null; // under the pointer: [i, j] in the map
     drawBar(document.getElementById("bar"));
     drawTicks(this.ticks, 0, this.scale_mm);
     this.canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -43,7 +43,7 @@ export class HeightView {
     this.read();
   }
 
-  /** Draw a decoded height map; geometry may be null while info has not come. */
+  /** Draw a decoded height map; geometry may be null until info arrives. */
   draw(map, geometry) {
     this.map = map;
     this.geometry = geometry;
@@ -65,7 +65,7 @@ export class HeightView {
     this.read();
   }
 
-  /** What part of the map is shown, and the canvas and outline for it. */
+  /** Set the shown part of the map, and fit the canvas and the outline to it. */
   fit() {
     const { map, geometry } = this;
     const key = [map.rows, map.cols, map.row0, map.col0, map.step_px, geometry?.calibration_crc32, geometry?.radius_px].join();
@@ -86,12 +86,12 @@ export class HeightView {
     this.disc.setAttribute("r", geometry?.radius_px ?? 0);
   }
 
-  /** What the user set as the scale; null where it follows the maps. */
+  /** The scale in mm that the user set; null if it follows the maps. */
   get fixed_mm() {
     return this.range.value === "auto" ? null : Number(this.range.value);
   }
 
-  /** The scale: what the user set, or the least round number that holds the deepest of the last seconds. */
+  /** Set the scale: the user's, or the least round number that covers the greatest depth of the last seconds. */
   choose(peak_mm) {
     const scale_mm = this.fixed_mm ?? this.auto.choose(peak_mm);
     if (scale_mm === this.scale_mm) return;
@@ -118,7 +118,7 @@ export class HeightView {
     this.read();
   }
 
-  /** Take the decoded `sigma` of this map; null where it has none. */
+  /** Keep the decoded `sigma` of this map; null if it has none. */
   setSigma(sigma) {
     this.sigma = sigma;
     drawDoubts(this.doubts, this.map, sigma, this.geometry);
@@ -149,7 +149,7 @@ export class HeightView {
     this.readout.append(depth, `${mm} · ${px}`);
   }
 
-  /** Depth in mm that the canvas shows for an image pixel, from its colour; NaN where it shows none. */
+  /** Depth in mm that the canvas shows at an image pixel, from its colour; NaN if it shows none. */
   depthAt(row, col) {
     const { map, crop, geometry } = this;
     if (!map || (geometry && Math.hypot(row - geometry.row_c, col - geometry.col_c) > geometry.radius_px)) return NaN;

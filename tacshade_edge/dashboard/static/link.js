@@ -1,4 +1,4 @@
-// MQTT to the server that this page came from, which carries it to the broker; it comes back by itself.
+// MQTT over the server that served this page, which forwards it to the broker; the link reconnects by itself.
 
 import { cut } from "./bounds.js";
 import mqtt from "./vendor/mqtt.esm.js";
@@ -9,16 +9,16 @@ const KEPT = "tacshade-login";
 
 export class Link {
   /**
-   * reported(level, text): how the connection is; level is "good", "wait" or "bad".
-   * refused(text): the broker wants another user or password.
-   * message(topic, payload, retained): everything that is subscribed; payload is a view into a larger buffer, and
-   * retained what the broker kept from before.
+   * reported(level, text): state of the connection; level is "good", "wait" or "bad".
+   * refused(text): the broker requires another user or password.
+   * message(topic, payload, retained): every message of the subscriptions; payload is a view into a larger buffer;
+   * retained: whether the broker had stored the message before.
    */
   constructor({ reported, refused, message }) {
     this.reported = reported;
     this.refused = refused;
     this.message = message;
-    this.waiting = new Map(); // transaction -> how to answer
+    this.waiting = new Map(); // transaction -> { resolve, reject, timer }
     this.topics = new Set();
     const kept = sessionStorage.getItem(KEPT);
     this.open(kept ? JSON.parse(kept) : {});
@@ -28,7 +28,7 @@ export class Link {
     return this.client?.connected ?? false;
   }
 
-  /** Connect with a user and password that are kept until the tab is closed. */
+  /** Connect with a user and password, and keep them until the tab is closed. */
   login(username, password) {
     const user = { username, password };
     sessionStorage.setItem(KEPT, JSON.stringify(user));
@@ -44,14 +44,14 @@ export class Link {
     this.reported("wait", "Connecting …");
     const client = mqtt.connect(url.href, {
       ...user,
-      clientId: `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`, // read_only.py wants it so
-      protocolVersion: 5, // what a request needs from the daemon, and the one version that the demo's broker speaks
+      clientId: `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`, // read_only.py requires this prefix
+      protocolVersion: 5, // needed for requests, and the only version that the demo's broker supports
       keepalive: KEEPALIVE_S,
       reconnectPeriod: RETRY_MS,
       connectTimeout: CONNECT_MS,
       queueQoSZero: false,
-      resubscribe: false, // ours, below: it also covers a client that is replaced by a login
-      // Our own socket, since mqtt.js keeps to itself why the server closed it.
+      resubscribe: false, // our own, below, also covers a client that a login replaces
+      // Our own socket, since mqtt.js does not report why the server closed it.
       createWebsocket: (address, protocols) => {
         const socket = new WebSocket(address, protocols);
         socket.binaryType = "arraybuffer";
@@ -69,13 +69,13 @@ export class Link {
     });
     client.on("close", () => {
       if (client !== this.client || client.disconnecting) return;
-      // The socket's own event, with the reason, comes in the same turn.
+      // The socket's own event, with the reason, comes in the same turn of the event loop.
       setTimeout(() => {
         if (client === this.client && !client.connected && !client.disconnecting) this.reported("bad", `Not connected: ${reason}; trying again`);
       });
     });
     client.on("error", (error) => {
-      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, reported there
+      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // other errors close the connection, and are reported there
       client.end(true);
       sessionStorage.removeItem(KEPT);
       this.reported("bad", "The broker requires a user and password");
@@ -93,7 +93,7 @@ export class Link {
     if (this.connected) this.client.unsubscribe(topics);
   }
 
-  /** Ask a sensor; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
+  /** Send a request to a sensor; resolves to its result, rejects with an Error that has a readable message and the `code`. */
   request(sensor, verb, body, answer_ms = ANSWER_MS) {
     if (!this.connected) return Promise.reject(new Error("not connected"));
     const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
@@ -103,7 +103,7 @@ export class Link {
         reject(new Error(`no answer within ${answer_ms / 1000} s`));
       }, answer_ms);
       this.waiting.set(transaction, { resolve, reject, timer });
-      // QoS 0: what cannot be sent now is dropped, and reported. QoS 1 would move the sensor's zero some time later.
+      // QoS 0: a request that cannot be sent now is dropped and reported. QoS 1 could re-zero the sensor much later.
       this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });
     });
   }

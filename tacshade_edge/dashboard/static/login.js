@@ -1,4 +1,4 @@
-// The token goes to the server in a header and comes back as a cookie that no script can read.
+// The page sends the token to the server in a header; the server returns it as a cookie that no script can read.
 
 const form = document.getElementById("login"), why = document.getElementById("login-why");
 
@@ -17,7 +17,7 @@ form.addEventListener("submit", (event) => {
   login(form.elements.token.value.trim());
 });
 
-// The address that the server printed has the token behind its #, which no server and no other site is sent.
+// The address that the server printed has the token after its #, a part that browsers never send to any site.
 if (location.hash.length > 1) {
   const token = location.hash.slice(1);
   history.replaceState(null, "", "login");

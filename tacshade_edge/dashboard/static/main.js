@@ -1,4 +1,4 @@
-// The page: sensors, what is known of the chosen one, and when it is drawn.
+// The page: the sensors, the data of the chosen one, and when to draw it.
 
 import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
@@ -26,10 +26,10 @@ import { decode } from "./wire.js";
 const INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
 const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/explanation/speed.md, docs/explanation/accuracy.md
-const WHOLE = "#hand/"; // of an address, with the hand's id
+const WHOLE = "#hand/"; // in an address, before the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
 const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];
-const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server passes no requests on
+const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server forwards no requests
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
@@ -59,14 +59,14 @@ const recordings = new Recordings({
 link = new Link({ reported: updateLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 
-/** All that is known of the chosen sensor. */
+/** All data of the chosen sensor. */
 function emptyView() {
   return {
     height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
-// What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
+// Messages. The page keeps only the newest binary payloads, and decodes them when it draws them.
 
 function take(topic, payload, retained) {
   if (whole.take(topic, payload)) return topic.endsWith("/state") ? showTabs() : undefined;
@@ -109,7 +109,7 @@ function takeChosen(what, payload, retained) {
       if (!retained) view.health_ms = performance.now();
       updateHealth();
     });
-  } else if (what.startsWith("status/") && payload.length === 0) { // a part that is gone: a rival
+  } else if (what.startsWith("status/") && payload.length === 0) { // the part no longer exists: a rival
     view.parts.delete(what.slice(7));
     showParts(view.parts);
   } else if (what.startsWith("status/")) {
@@ -161,11 +161,11 @@ function decoded(payload, name) {
 
 function takeNews(sensor, news) {
   const known = sensors.has(sensor);
-  if ("state" in news && news.state === undefined) sensors.delete(sensor); // the retained state was taken away
+  if ("state" in news && news.state === undefined) sensors.delete(sensor); // the retained state was cleared
   else sensors.set(sensor, { ...sensors.get(sensor), ...news });
   if (works(sensor)) restore(sensor);
   if (isRemoved(sensor)) return showTabs();
-  // The sensor of the address; without one the first that is there, rather than one that was here last week.
+  // The sensor in the address; without one, the first that works, rather than one that is long gone.
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
   if (chosen === null && whole.shown === null) choose(sensor);
@@ -177,7 +177,7 @@ function takeNews(sensor, news) {
   }
 }
 
-/** Take it from this page; another one is shown, or none. */
+/** Remove a sensor from this page, and show another one, or none. */
 function retire(sensor) {
   remove(sensor);
   const other = [...sensors.keys()].sort().find((name) => !isRemoved(name));
@@ -267,10 +267,10 @@ function follow() {
 window.addEventListener("hashchange", follow);
 follow();
 
-// Drawing: at most once per picture of the screen, always the newest.
+// Drawing: at most once per animation frame, always the newest.
 
 function schedule() {
-  if (scheduled || skin.busy) return; // the skin in space reports when it is drawn: what came last is drawn then, in both
+  if (scheduled || skin.busy) return; // the 3D skin reports when it is done: then both views draw the newest
   scheduled = true;
   requestAnimationFrame(draw);
 }
@@ -319,7 +319,7 @@ function draw() {
   updateStale();
 }
 
-/** Points and what is said of them come as two messages, and the `final` of an earlier session stays beside a new one. */
+/** Points and their description come as two messages, and the `final` of an earlier session remains during a new one. */
 function drawStitched() {
   if (view.mapPayload) {
     view.mapCloud = decoded(view.mapPayload, "points_mm") ?? view.mapCloud;
@@ -358,7 +358,7 @@ function updateFlags(flags) {
   $("flags").textContent = words.join(", ");
 }
 
-// Words.
+// Texts.
 
 function updateLink(level, words) {
   $("link").dataset.level = level;
@@ -403,7 +403,7 @@ setInterval(() => {
   whole.showState();
   if (chosen === null) return;
   updateHealth();
-  schedule(); // a release that was lost
+  schedule(); // in case a release was lost
 }, 500);
 
 function askLogin(why) {
@@ -431,10 +431,10 @@ function updateControls() {
   updateSession(able);
 }
 
-/** Whether the sensor has reported that it has no geometry yet: its camera's picture is all there is. */
+/** Whether the sensor has reported that it has no geometry yet: then only its camera's picture is available. */
 const uncalibrated = () => sensors.get(chosen)?.info?.geometry === null;
 
-/** A stitching session's buttons, for a sensor that can have one: it publishes `status/stitching`. */
+/** Update the buttons of a stitching session, for a sensor that publishes `status/stitching`. */
 function updateSession(able) {
   const status = view.parts.get("stitching"), open = status?.state !== "idle", form = $("session");
   form.hidden = !status;
@@ -448,7 +448,7 @@ function updateSession(able) {
 }
 
 function updateProfiles() {
-  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon states no choice
+  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon reports no choice
   const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
   const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
@@ -460,7 +460,7 @@ function updateAnswer(level, words) {
   $("answer").textContent = cut(words);
 }
 
-/** Resolves to the reason's code; empty when it was done. */
+/** Send a request to the chosen sensor; resolves to the code of a refusal, empty on success. */
 async function ask(verb, body, doing, done, answer_ms) {
   const sensor = chosen, say = (level, words) => {
     if (sensor !== chosen) return;
@@ -529,7 +529,7 @@ $("range").addEventListener("change", () => {
   skin.render();
 });
 
-/** What the page shows, for tests and for the browser's console; it changes nothing. */
+/** What the page shows, read-only, for tests and for the browser's console. */
 window.tacshade = Object.freeze({
   get drawn() { return drawn; },
   get maps() { return { heard, drawn, superseded, waiting: view.height ? 1 : 0 }; },

@@ -31,8 +31,8 @@ export class MapView {
   }
 
   /**
-   * Draw a revision: what `map/revision` or `map/final` says, and the decoded `map/cloud` that belongs to it.
-   * Throws when what is said is no place for the points.
+   * Draw a revision: `about` from `map/revision` or `map/final`, and the decoded `map/cloud` that belongs to it.
+   * Throws if `about` has no valid extent for the points.
    */
   draw(about, cloud) {
     const { x0_mm, y0_mm, width_mm, length_mm, spacing_mm } = about;
@@ -51,7 +51,7 @@ export class MapView {
       if (z > high) high = z;
     }
     Object.assign(this, { about, cloud, cell_mm, rows, cols, z_mm });
-    // Whole quarters of a millimetre, so that not every press moves the colours.
+    // Rounded to quarters of a millimetre, so that not every press changes the colours.
     this.low_mm = low <= high ? Math.floor(4 * low) / 4 : 0;
     this.high_mm = Math.max(this.low_mm + 0.5, Math.ceil(4 * high) / 4);
     this.paint();
@@ -68,16 +68,16 @@ export class MapView {
       const z = z_mm[at];
       if (z === z) pixels[at] = PIXELS[Math.round((z - low_mm) * factor)]; // untouched is transparent
     }
-    // A new size empties the canvas; nothing is shown between that and the new picture.
+    // A new size clears the canvas; the browser shows nothing before the new picture.
     if (canvas.width !== cols || canvas.height !== rows) [canvas.width, canvas.height] = [cols, rows];
     context.putImageData(image, 0, 0);
     drawTicks(document.getElementById("stitched-ticks"), low_mm, this.high_mm);
   }
 
-  /** Lines at round places of the base frame. */
+  /** Draw lines at round coordinates of the base frame. */
   drawLines() {
     const { about, cell_mm, cols, rows } = this, width = cols * cell_mm, length = rows * cell_mm;
-    const left = about.x0_mm - cell_mm / 2, bottom = about.y0_mm - cell_mm / 2; // a cell lies around its point
+    const left = about.x0_mm - cell_mm / 2, bottom = about.y0_mm - cell_mm / 2; // a cell is centred on its point
     const least_mm = Math.max(width, length) / MOST_LINES, power = 10 ** Math.floor(Math.log10(least_mm));
     this.apart_mm = Math.max(1, [1, 2, 5, 10].map((n) => n * power).find((mm) => mm >= least_mm));
     const places = (from, size) => {
@@ -106,12 +106,12 @@ export class MapView {
 
   point(event) {
     if (!this.about) return;
-    // The picture in its frame, as object-fit: contain puts it.
+    // The picture in its frame, as object-fit: contain places it.
     const box = this.canvas.getBoundingClientRect(), scale = Math.min(box.width / this.cols, box.height / this.rows);
     const j = (event.clientX - (box.left + box.right) / 2) / scale + this.cols / 2;
     const i = (event.clientY - (box.top + box.bottom) / 2) / scale + this.rows / 2;
     const { x0_mm, y0_mm } = this.about;
-    // In mm, not in cells: the map may grow under a pointer that rests.
+    // In mm, not in cells: the map may grow under a resting pointer.
     this.at_mm = [x0_mm + (j - 0.5) * this.cell_mm, y0_mm + (this.rows - i - 0.5) * this.cell_mm];
     this.read();
   }
@@ -133,7 +133,7 @@ export class MapView {
     this.readout.replaceChildren(element("b", { textContent: Number.isNaN(z) ? "not touched" : `z ${z.toFixed(2)} mm` }), place);
   }
 
-  /** z in mm that the canvas shows at a place of the base frame, from its colour; NaN where it shows none. */
+  /** z in mm that the canvas shows at a point of the base frame, from its colour; NaN if it shows none. */
   zAt(x_mm, y_mm) {
     const cell = this.about && this.cellOf(x_mm, y_mm);
     if (!cell) return NaN;

@@ -1,9 +1,9 @@
-// What is drawn over the height map: how the skin moved, from where it was to where it is, and which cells deserve less trust.
+// Marks over the height map: arrows for the motion of the skin, from old to new place, and strokes over uncertain cells.
 
 const LEAST_MM = 0.1, ACROSS = 15, HEAD = 0.35;
 const STROKES_ACROSS = 56, NINETY_PERCENT = 1.645; // standard deviations
 
-/** Draw a decoded `shear` into an SVG path, in image pixels; nothing where nothing moved, or without both. */
+/** Draw a decoded `shear` into an SVG path, in image pixels; nothing if nothing moved, or without shear or geometry. */
 export function drawArrows(path, shear, geometry) {
   const parts = [];
   if (shear && geometry) {
@@ -23,7 +23,7 @@ export function drawArrows(path, shear, geometry) {
   return parts.length;
 }
 
-/** Strokes over the touched cells whose 90 % interval holds no depth at all; nothing without both maps of one grid. */
+/** Draw strokes over the touched cells whose 90 % interval includes zero depth; nothing without both maps on one grid. */
 export function drawDoubts(path, map, sigma, geometry) {
   const parts = [];
   if (map && geometry && sigma?.rows === map.rows && sigma.cols === map.cols) {

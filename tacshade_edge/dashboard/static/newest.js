@@ -1,4 +1,4 @@
-// Which map of a sensor is to be shown now.
+// Which map of a sensor the page should show now.
 
 import { zeroMap } from "./geometry.js";
 
@@ -9,13 +9,13 @@ export const VALUES = { height: "height_mm", cloud: "points_mm", shear: "shear_m
 const TOGETHER_MS = 300;
 
 /**
- * The part of a message that came with the map that is shown, decoded; undefined while there is nothing new.
- * One of a later map waits for that; one of an earlier map is dropped; null says that what is shown is of another map.
+ * The decoded message of one kind that belongs to the shown map; undefined while there is nothing new.
+ * A message of a later map waits for that map, one of an earlier map is dropped; null: the shown one is of another map.
  */
 export function partOfMap(view, what, decoded) {
   const payload = view[what], seq = view.map?.seq ?? null, { with_map } = view;
   if (payload && payload.length < HEADER_BYTES) {
-    decoded(payload); // counts it
+    decoded(payload); // counts it as damaged
     view[what] = null;
   } else if (payload && seq !== null) {
     const of = new DataView(payload.buffer, payload.byteOffset).getUint32(SEQ_AT, true);
@@ -30,7 +30,7 @@ export function partOfMap(view, what, decoded) {
   return null;
 }
 
-/** Keep a message of numbers until its map is drawn. */
+/** Keep a message with numbers until its map is drawn. */
 export function keep(messages, message) {
   messages.set(message.seq, message);
   if (messages.size > MESSAGES_KEPT) messages.delete(messages.keys().next().value);
@@ -41,17 +41,17 @@ export function keepContact(view, contact) {
   keep(view.contacts, contact);
 }
 
-/** The numbers of the map that is shown; for a moment those of the one before, and null where they did not come. */
+/** The numbers of the shown map; for a moment those of the previous one, then null if they have not arrived. */
 export function contactOfMap(view) {
   const { map, contact } = view;
   if (!map || contact === null) return contact;
-  const free = contact.contact === 0 && !(map.flags & CONTACT); // goes on after the last map
+  const free = contact.contact === 0 && !(map.flags & CONTACT); // these continue after the last map
   const own = free ? contact : view.contacts.get(map.seq);
   if (own || performance.now() - view.shown_ms > TOGETHER_MS) view.numbers = own ?? null;
   return view.numbers;
 }
 
-/** The `touch` of the map that is shown; for a moment the one before, and null where none came. */
+/** The `touch` of the shown map; for a moment the previous one, then null if none has arrived. */
 export function touchOfMap(view) {
   const own = view.touches.get(view.map.seq), now = performance.now();
   if (own) view.touch_ms = now;
@@ -59,7 +59,7 @@ export function touchOfMap(view) {
   return view.touch;
 }
 
-/** The map to draw now, or null when the one that is shown is right. decoded(payload): null where it is damaged. */
+/** The map to draw now, or null if the shown one is current. decoded(payload): null if damaged. */
 export function nextMap(view, geometry, decoded) {
   if (view.height) {
     const map = decoded(view.height, VALUES.height);
@@ -68,7 +68,7 @@ export function nextMap(view, geometry, decoded) {
   }
   const free = view.contact?.contact === 0;
   if (!view.map) return free && geometry ? zeroMap(geometry) : null;
-  // The one height map of a release can be lost; `contact` goes on to say that nothing touches.
+  // The only height map of a release can be lost; `contact` still reports that nothing touches.
   if (free && view.map.flags & CONTACT && geometry && performance.now() - view.height_ms > RELEASE_LOST_MS) return zeroMap(geometry);
   return geometry !== view.drawnFor ? view.map : null;
 }

@@ -1,4 +1,4 @@
-// What is shown in words and numbers. Text from the broker goes into the page as text, never as HTML.
+// Words and numbers. Text from the broker enters the page as text, never as HTML.
 
 const LEVELS = { online: "good", streaming: "good", playing: "good", paused: "warn", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 
@@ -10,12 +10,12 @@ export function element(name, properties = {}, ...children) {
   return made;
 }
 
-/** A number with so many digits; empty where it is none. */
+/** A number with `digits` digits; empty if it is no number. */
 export function number(value, digits = 0) {
   return Number.isFinite(value) ? value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1") : "";
 }
 
-/** The state of the sensor with every reason that is known for it. */
+/** The state of the sensor with every known reason for it. */
 export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   const shown = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
@@ -31,7 +31,7 @@ export function showState(state, parts, health, connected, gone) {
   line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last reported:" : ""} ${reasons.join("; ")}` : "");
 }
 
-/** Rows without a value are left out; null where none is left. */
+/** A table without the rows that have no value; null if none is left. */
 export function table(title, rows, head) {
   const kept = rows.filter(([, ...values]) => values.some((value) => value !== ""));
   if (kept.length === 0) return null;

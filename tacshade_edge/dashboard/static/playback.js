@@ -1,26 +1,26 @@
-// A recording that is played: the buttons of `req/replay`, for a sensor that publishes `status/replay`.
+// Playback of a recording: the buttons for `req/replay`, for a sensor that publishes `status/replay`.
 
 import { number } from "./panels.js";
 
 const form = document.getElementById("playback");
 const SPEEDS_MAX = 20;
-let winding = false; // the person has the slider
+let winding = false; // the user is moving the slider
 
-/** Whether what comes is a recording that a page commands. */
+/** Whether the sensor is a recording that a page can control. */
 export const isPlayed = (parts) => ["playing", "paused"].includes(parts.get("replay")?.state);
 export const isPaused = (parts) => parts.get("replay")?.state === "paused";
 
-/** A recording that is paused publishes nothing: have it show its frame again to who has no picture yet. Rejects as `request`. */
+/** A paused recording publishes nothing: make it publish its frame again if this page has no picture yet. Rejects as `request` does. */
 export async function showAgain(link, sensor, view) {
   if (view.asked || view.map || view.height || !isPaused(view.parts)) return;
   view.asked = true;
   await link.request(sensor, "replay", { seek_s: justBefore(view.parts.get("replay").position_s) });
 }
 
-/** To wind to the frame at this position: positions are given in whole milliseconds. */
+/** The position to seek in order to reach the frame at this one: positions are rounded to milliseconds. */
 export const justBefore = (position_s) => Math.max(position_s - 0.001, 0);
 
-/** ask(body): asks the replay; resolves when it answered. */
+/** Connect the buttons. ask(body): sends a request to the replay; resolves once it has answered. */
 export function commandPlayback(ask) {
   const { step, back, position, speed } = form.elements;
   form.addEventListener("submit", (event) => {

@@ -1,15 +1,15 @@
-// A recording's buttons, for a sensor that publishes `status/recorder`.
+// The buttons of the recorder, for a sensor that publishes `status/recorder`.
 
 import { number } from "./panels.js";
 
 const form = document.getElementById("recording");
 
-/** ask(body, doing, done): asks the sensor. */
+/** Connect the buttons. ask(body, doing, done): sends a request to the sensor. */
 export function commandRecordings(ask) {
   const { seconds, record, mark, words, stop } = form.elements;
   form.addEventListener("submit", (event) => {
     event.preventDefault();
-    if (record.parentElement.hidden) mark.click(); // Enter in the mark's words
+    if (record.parentElement.hidden) mark.click(); // Enter in the text of the mark
     else ask({ action: "start", seconds: Number(seconds.value) }, "Beginning …", (result) => `Recording to ${result.folder}.`);
   });
   mark.addEventListener("click", () => {

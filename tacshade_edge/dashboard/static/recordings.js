@@ -1,16 +1,16 @@
-// The recordings in a folder of the page's own machine: each command is a WebSocket of its own to the page's server.
+// The recordings in a folder on the server's machine: each command opens its own WebSocket to the server.
 
 import { cut } from "./bounds.js";
 import { element, number } from "./panels.js";
 
-const FOLD_BYTES = 1 << 24; // pieces that are put together leave the page's memory
+const FOLD_BYTES = 1 << 24; // the browser can move merged pieces out of the page's memory
 const $ = (id) => document.getElementById(id);
 
 export class Recordings {
-  /** There is a list at all: the server has been given a folder. readOnly: nothing may be played or deleted. played(sensor): a recording is, as this sensor. */
+  /** listed: the server has a folder of recordings. readOnly: nothing may be played or deleted. played(sensor): called when a recording plays as this sensor. */
   constructor({ listed, readOnly, played }) {
     Object.assign(this, { listed, readOnly, played, playing: null });
-    // A page that is left may be kept with its connections, for who comes back.
+    // The browser may keep a page that the user left, with its connections, in case the user comes back.
     addEventListener("pagehide", () => this.playing?.socket.close());
     this.refresh();
   }
@@ -42,7 +42,7 @@ export class Recordings {
     return element("li", {}, element("b", { textContent: name }), element("small", { textContent: facts.filter(Boolean).join(" · ") }), element("span", {}, ...buttons.flatMap((one) => [one, " "])));
   }
 
-  /** It plays for as long as this page holds the connection. */
+  /** Play a recording for as long as this page keeps the connection open. */
   async play(name) {
     this.say("wait", `starting ${name} …`);
     const { socket, answered, closed } = command({ action: "play", name });
@@ -93,7 +93,7 @@ export class Recordings {
   }
 }
 
-/** answered: the first answer; rejects with what failed. closed: why the connection ended later; empty where it simply did. piece(data): what comes in between. */
+/** Send a command. answered: the first answer; rejects with the error. closed: why the connection ended later; empty without an error. piece(data): called with binary data. */
 function command(asked, piece = () => {}) {
   const url = new URL("recordings", location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";

@@ -1,4 +1,4 @@
-// Sensors that this browser does not show any more. The retained topics stay: only a sensor may clear its own.
+// Sensors that this browser no longer shows. Their retained topics remain: only a sensor may clear its own.
 
 const KEPT = "tacshade-removed";
 const removed = new Set(JSON.parse(localStorage.getItem(KEPT) ?? "[]"));
@@ -12,7 +12,7 @@ export function remove(sensor) {
   keep();
 }
 
-/** One that works again, or all of them. */
+/** Show one sensor again, since it works, or all of them. */
 export function restore(sensor) {
   if (sensor === undefined) removed.clear();
   else if (!removed.delete(sensor)) return;

@@ -1,9 +1,9 @@
-// A new zero, once nothing touches. The page waits, not the sensor: who closes it, or loses the connection, has asked nothing.
+// A new zero, once nothing touches. The page waits, not the sensor: if it closes or loses its connection, nothing was requested.
 
 const REST_MS = 500;
 
 export class Rezero {
-  /** ask(): takes the new zero; resolves to the reason code of a refusal. changed(words): something changed. */
+  /** ask(): takes the new zero; resolves to the reason code of a refusal. changed(words): called on every change. */
   constructor({ ask, changed }) {
     this.ask = ask;
     this.changed = changed;
@@ -11,7 +11,7 @@ export class Rezero {
     this.rest_ms = null; // since when nothing touches
   }
 
-  /** A click: take it, wait, or wait no more. */
+  /** Handle a click: take the zero, wait for a rest, or stop waiting. */
   toggle(contact) {
     if (this.waiting) return this.cancel();
     this.waiting = true;
@@ -26,7 +26,7 @@ export class Rezero {
     this.changed("Cancelled: no new zero.");
   }
 
-  /** What touches now. */
+  /** Process the current contact. */
   heard(contact) {
     if (!this.waiting || this.taking) return;
     if (!rests(contact)) this.rest_ms = null;
@@ -40,7 +40,7 @@ export class Rezero {
     const code = await this.ask();
     this.taking = false;
     this.rest_ms = null;
-    if (code !== "frame_in_contact") this.waiting = false; // touched meanwhile: the next rest will do
+    if (code !== "frame_in_contact") this.waiting = false; // touched in the meantime: wait for the next rest
     this.changed();
   }
 }

@@ -1,4 +1,4 @@
-// The scale under a picture in mm.
+// The scale in mm under a picture.
 
 import { PIXELS, STEPS } from "./colours.js";
 
@@ -7,7 +7,7 @@ const NICE_MM = [0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
 const AUTO_KEEPS_MS = 8000;
 const TICKS_MOST = 6;
 
-/** The least round number that holds the deepest of the last seconds. */
+/** A scale that is the least round number that covers the greatest depth of the last seconds. */
 export class AutoScale {
   constructor() {
     this.mm = AUTO_LEAST_MM;
@@ -23,14 +23,14 @@ export class AutoScale {
   }
 }
 
-/** Every colour, once. */
+/** Draw every colour once. */
 export function drawBar(canvas, pixels = PIXELS) {
   const context = canvas.getContext("2d"), image = context.createImageData(STEPS, 1);
   new Uint32Array(image.data.buffer).set(pixels);
   context.putImageData(image, 0, 0);
 }
 
-/** The numbers between two ends, apart by 1, 2 or 5 times a power of ten. */
+/** The round numbers between two ends, in steps of 1, 2 or 5 times a power of ten. */
 export function roundTicks(low, high) {
   const least = (high - low) / (TICKS_MOST - 1), power = 10 ** Math.floor(Math.log10(least) + 1e-9);
   const step = [1, 2, 5, 10].map((n) => n * power).find((apart) => apart >= least * (1 - 1e-9));
@@ -38,7 +38,7 @@ export function roundTicks(low, high) {
   return Array.from({ length: count }, (_, k) => +((first + k) * step).toPrecision(12));
 }
 
-/** Round numbers where they lie on the bar; the last one has the unit. */
+/** Show the round numbers at their places on the bar; the last one has the unit. */
 export function drawTicks(list, low_mm, high_mm) {
   const key = `${low_mm} ${high_mm}`;
   if (list.dataset.key === key) return;

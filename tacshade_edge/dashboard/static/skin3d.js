@@ -1,13 +1,13 @@
-// The skin and the touched objects in space: x along the image's columns, y along its rows, z towards the tip.
+// The skin and the touched objects in 3D: x along the image's columns, y along its rows, z towards the tip.
 
 import * as THREE from "three";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 import { VIRIDIS, objectColour, stepOf } from "./colours.js";
 import { heightAt, skinPoint } from "./geometry.js";
 
-// The surface: rings around the middle of the disc, so that its edge is the skin's and its cost does not depend on the map.
+// The surface: rings around the centre of the disc, so that its edge is the skin's and its cost does not depend on the map.
 const RINGS = 64, SPOKES = 144, VERTICES = 1 + RINGS * SPOKES;
-const UNIT = new Float32Array(2 * VERTICES); // row and column of each vertex, in radii of the disc from its middle
+const UNIT = new Float32Array(2 * VERTICES); // row and column of each vertex from the disc's centre, in radii of the disc
 const TRIANGLES = [];
 for (let ring = 1; ring <= RINGS; ring++) {
   for (let spoke = 0; spoke < SPOKES; spoke++) {
@@ -18,18 +18,18 @@ for (let ring = 1; ring <= RINGS; ring++) {
     else TRIANGLES.push(n - SPOKES, n, next, n - SPOKES, next, next - SPOKES);
   }
 }
-// What a screen shows for 0 to 255, as amounts of light: light is what the lamp is multiplied with.
+// Linear light of the screen values 0 to 255: the lamp's light is multiplied by linear values.
 const LINEAR = Float32Array.from({ length: 256 }, (_, v) => (v <= 10 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
-const SLOW_MS = 40; // a picture that takes longer is drawn with fewer pixels from then on
+const SLOW_MS = 40; // after a picture that takes longer, all pictures have fewer pixels
 const COARSEST = 0.5; // of the screen's pixels per side
-const REST = 1; // of what a picture took, before the next: without a graphics card it takes all cores, and the page falls behind
+const REST = 1; // pause after a picture, relative to its drawing time: without a graphics card, drawing uses all cores and the page falls behind
 const POINTS_MAX = 20000;
 
 export class SkinView {
-  /** free(): the picture that was being drawn is done. */
+  /** free(): called when the current picture is done. */
   constructor(free) {
     this.free = free;
-    this.seq = null; // of the map that the picture shows
+    this.seq = null; // sequence number of the map in the picture
     this.host = document.getElementById("view");
     this.available = document.createElement("canvas").getContext("webgl2") !== null;
     if (!this.available) {
@@ -44,7 +44,7 @@ export class SkinView {
     this.camera.up.set(0, 0, 1);
     this.scene.add(new THREE.AmbientLight(0xffffff, 1.3), this.camera);
     const lamp = new THREE.DirectionalLight(0xffffff, 3);
-    lamp.position.set(-1, 0.7, 0.15); // beside the eye: a dent has a shaded side
+    lamp.position.set(-1, 0.7, 0.15); // to one side of the eye: a dent has a shaded side
     this.camera.add(lamp);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.addEventListener("change", () => this.render());
@@ -118,7 +118,7 @@ export class SkinView {
     this.cloud.geometry.setDrawRange(0, shown);
   }
 
-  /** Rim, axes and eye for a sensor. */
+  /** Set the rim, the axes and the eye for a sensor. */
   place(geometry) {
     this.geometry = geometry;
     const theta = (geometry.visible_half_angle_deg * Math.PI) / 180, r = geometry.skin_radius_mm;
@@ -152,7 +152,7 @@ export class SkinView {
     this.render();
   }
 
-  /** Whether a picture is still being drawn or rested from: a map that came meanwhile waits, here and in the map beside. */
+  /** Whether a picture is being drawn, or the pause after it lasts: a new map waits, here and in the 2D view. */
   get busy() {
     return Boolean(this.fence);
   }
@@ -162,8 +162,8 @@ export class SkinView {
     this.renderer.render(this.scene, this.camera);
     this.seq = this.map?.seq ?? null;
     if (this.fence) return;
-    // Commands return at once and are carried out elsewhere: only a fence reports when a picture is there. Without a
-    // graphics card it takes a hundred times longer, and whoever does not wait has a browser that is always behind.
+    // Commands return at once and run elsewhere: only a fence reports when a picture is finished. Without a graphics
+    // card a picture takes a hundred times longer, and a page that does not wait makes its browser fall behind.
     const gl = this.renderer.getContext(), began_ms = performance.now();
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();

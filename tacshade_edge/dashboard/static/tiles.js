@@ -1,4 +1,4 @@
-// The numbers of a contact and of the sensor's pace, in tiles that keep their width. What is not known has an empty tile's place.
+// The numbers of a contact and the sensor's rate, in tiles of constant width. An unknown number leaves its tile empty.
 
 import { number } from "./panels.js";
 

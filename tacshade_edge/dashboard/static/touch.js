@@ -1,15 +1,15 @@
-// The touch as a few numbers, each with the interval of one standard deviation. It is computed only while somebody
-// listens, so this page does only while the panel can be seen.
+// The touch as a few numbers, each with an interval of one standard deviation. The sensor computes it only while
+// somebody subscribes, so this page subscribes only while the panel is visible.
 
 import { cut } from "./bounds.js";
 import { element, number } from "./panels.js";
 
-const UNITS = new Map([["mm", ["mm", 2]], ["deg", ["°", 1]], ["n", ["N", 2]], ["nmm", ["N·mm", 1]]]); // and digits
+const UNITS = new Map([["mm", ["mm", 2]], ["deg", ["°", 1]], ["n", ["N", 2]], ["nmm", ["N·mm", 1]]]); // symbol and digits
 const FREE = "nothing touches";
 const $ = (id) => document.getElementById(id);
 
 export class TouchPanel {
-  /** link: its subscriptions. */
+  /** link(): for subscriptions. */
   constructor({ link }) {
     Object.assign(this, { link, sensor: null, topic: null, visible: false });
     this.clear();
@@ -42,7 +42,7 @@ export class TouchPanel {
     this.topic = topic;
   }
 
-  /** message: of the map that is shown; null where none came. */
+  /** Draw the message of the shown map; null if none arrived. */
   draw(message) {
     if (message === this.drawn) return;
     this.drawn = message;
@@ -67,7 +67,7 @@ function makeRow(name) {
   return { row, value, more, interval, symbol, digits, end: 0 };
 }
 
-/** The bar's middle is 0 and its ends are the least 1, 2 or 5 times a power of ten that has held everything so far. */
+/** Show a value: the bar's middle is 0, its ends are the least 1, 2 or 5 times a power of ten that has covered every value so far. */
 function showRow(shown, value, sigma, why) {
   const { row, digits, symbol } = shown, known = value !== null;
   shown.value.textContent = known ? number(value, digits) : "";

@@ -26,7 +26,7 @@ function decode(data) {
            labels: values(Uint16Array, n, (i) => u16(96 + 12 * n + 2 * i)) };
 }
 
-// A hand's objects.
+// A hand's message, in JSON.
 function decodeHand(data) {
   const message = JSON.parse(new TextDecoder().decode(data));
   for (const finger of Object.values(message.fingers)) {

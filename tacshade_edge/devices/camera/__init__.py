@@ -1,1 +1,1 @@
-"""Frames from cameras: V4L2, and the simulated one."""
+"""Cameras as frame sources: V4L2, rpicam and simulated."""

@@ -1,27 +1,27 @@
-"""Frames lost between time stamps, where a device gives no sequence number."""
+"""Detection of lost frames by their time stamps, for devices without sequence numbers."""
 
 from __future__ import annotations
 
 from collections import deque
 
-_WINDOW = 64  # intervals that the period is measured over: about two seconds at 30 fps
+_WINDOW = 64  # number of intervals that give the period: about two seconds at 30 fps
 _ROUNDS = 2
-_FIRST = 24  # intervals before the period is trusted: about a second; these are judged together when it is
-_REGULAR = 0.2  # an interval this near the period, as part of it, is one period however the period is measured anew
+_FIRST = 24  # intervals before the period is trusted: about a second; then all of them are judged together
+_REGULAR = 0.2  # relative: an interval this near the period is one period, however the estimate changes
 
 
 class FrameGaps:
-    """Counts the frames missing between consecutive time stamps, against the period that was measured.
+    """A counter of the frames missing between consecutive time stamps, given the measured period.
 
-    The rate that a driver states or was asked for is not used: cameras run at another one. The period is the last
-    64 intervals divided by the periods that each is found to hold, starting from their lower quartile. It holds
+    The stated or requested rate is not used: cameras run at another one. The period is the sum of the last 64
+    intervals divided by the number of periods in them, starting from their lower quartile. The estimate is valid
     while less than a third of the frames are lost and the stamps are off by less than 15 % of the period. A camera
-    that halves its rate looks like one that loses every second frame until the window has turned over.
+    that halves its rate looks like one that loses every second frame until the window has been replaced.
 
     Attributes
     ----------
     period_ns : float
-        The measured frame period; 0 until there is an interval.
+        The measured frame period in ns; 0 before the first interval.
     """
 
     def __init__(self) -> None:
@@ -32,9 +32,9 @@ class FrameGaps:
         self.period_ns = 0.0
 
     def add(self, t_ns: int) -> int:
-        """Take the next frame's time stamp (ns, any origin); return how many lost frames it revealed.
+        """Add the next frame's time stamp (ns, any origin); return how many lost frames it revealed.
 
-        A time stamp that does not advance is passed over: it shows nothing.
+        A time stamp that does not advance is ignored.
         """
         last_ns, self._last_ns = self._last_ns, t_ns
         if last_ns is None or t_ns <= last_ns:
@@ -56,6 +56,6 @@ class FrameGaps:
 def _period_ns(ordered_ns: list[int]) -> float:
     period_ns = float(ordered_ns[len(ordered_ns) // 4])
     for _ in range(_ROUNDS):
-        # In a sum of intervals the jitter of all stamps but the first and the last cancels.
+        # In a sum of intervals the jitter cancels, except that of the first and the last stamp.
         period_ns = sum(ordered_ns) / sum(max(round(interval_ns / period_ns), 1) for interval_ns in ordered_ns)
     return period_ns

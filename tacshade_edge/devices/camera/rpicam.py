@@ -1,13 +1,13 @@
 """Frames of a Raspberry Pi's own (CSI, ribbon cable) camera: the program ``rpicam-vid`` writes them into a pipe.
 
-libcamera alone knows these cameras, and OpenCV does not know libcamera; ``rpicam-vid`` comes with the board's system.
-It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a record of metadata
-into a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, and the exposure and gain that the frame
-really had. So frames and records come in pairs, and a stream that lost its step is noticed at the next record.
+Only libcamera supports these cameras, and OpenCV does not support libcamera; ``rpicam-vid`` comes with the board's
+system. It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a metadata
+record into a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, and the actual exposure and gain
+of the frame. So frames and records come in pairs, and the next record reveals a stream that is out of step.
 
-Limits. The program does not say how long a line is: it is the width where that is a multiple of 64, and no other is
-asked. A sensor's time stamp is the start of its first line's exposure, on the clock that does not stop while a board
-sleeps; a board that was never suspended has one clock. White balance is fixed, since the grey image is made after it.
+Limits. The program does not report the line length: it equals the width if that is a multiple of 64, and no other
+width is requested. A sensor's time stamp is the start of its first line's exposure, on the clock that continues while
+a board sleeps; a board never suspended has one clock. White balance is fixed, since it precedes the grey image.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _STALL_S = 2.0
 _START_S = 5.0  # a cold board loads libcamera and tunes the sensor
 _END_S = 1.0
 _STAMP_AGE_MAX_NS = 1_000_000_000
-_SETTLING = 30  # first frames that may still have another exposure than was asked
-_EXPOSURE_OFF = 0.05  # of what was asked: a sensor exposes whole lines
-_PIPE_BYTES = 1 << 20  # the most that a user may ask; a frame of 640x480 has 460 800
+_SETTLING = 30  # number of first frames that may not yet have the requested exposure
+_EXPOSURE_OFF = 0.05  # relative deviation: a sensor exposes whole lines
+_PIPE_BYTES = 1 << 20  # the most that a user may request; a frame of 640x480 has 460 800
 _SAID_BYTES = 4096
 
 
@@ -50,14 +50,14 @@ class RpicamSource:
     Parameters
     ----------
     camera : int
-        As ``rpicam-vid --list-cameras`` numbers them.
+        Number of the camera in ``rpicam-vid --list-cameras``.
     width_px, height_px : int
-        A width of a multiple of 64.
+        The width is a multiple of 64.
     fps : float
     exposure_us : int
-        What the shutter is locked at.
+        Locked exposure time.
     gain : float
-        What the sensor's gain is locked at.
+        Locked gain of the sensor.
     """
 
     def __init__(self, camera: int, width_px: int, height_px: int, fps: float, exposure_us: int, gain: float) -> None:
@@ -82,18 +82,18 @@ class RpicamSource:
 
     @property
     def dropped(self) -> int:
-        """Frames inferred from gaps between the sensor's time stamps, since the first open."""
+        """Number of frames inferred lost from gaps in the sensor's time stamps, since the first open."""
         return self._dropped
 
     def open(self) -> None:
-        """Start the program and read until a frame has the exposure that was asked; the next `read` returns it.
+        """Start the program and read until a frame has the requested exposure; the next `read` returns it.
 
         Raises
         ------
         DeviceError
-            No such program or camera, in use, or it gives no frame.
+            The program or camera is absent, the camera is in use, or it delivers no frame.
         ConfigError
-            The camera does not take the exposure or the gain; or its lines are longer than the image is wide.
+            The camera rejects the exposure or the gain; or its lines are longer than the image is wide.
         """
         self.close()
         self._gaps = FrameGaps()
@@ -109,14 +109,14 @@ class RpicamSource:
         _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._stated.items()))
 
     def read(self) -> Frame | None:
-        """Wait for the next frame, at most two seconds. Raises DeviceError when the program ended or stalls."""
+        """Wait for the next frame, at most two seconds. Raises DeviceError when the program has ended or stalls."""
         if self._stream is None:
             raise DeviceError(f"{self._name}: not open")
         frame, self._pending = self._pending, None
         return frame or self._framed(*self._stream.next(_STALL_S))
 
     def skip(self) -> bool:
-        """Take the next frame out of the pipe, for nobody. Waits and raises as `read`."""
+        """Read the next frame from the pipe and discard it. Waits and raises as `read` does."""
         if self._stream is None:
             raise DeviceError(f"{self._name}: not open")
         if self._pending is None:
@@ -132,19 +132,19 @@ class RpicamSource:
             self._stream = None
 
     def describe(self) -> dict[str, str | int | float]:
-        """What was asked and what the frames' records say; ``fps_measured`` is 0 until there are frames."""
+        """Return the requested and the recorded settings; ``fps_measured`` is 0 until two frames have arrived."""
         period_ns = self._gaps.period_ns
         measured = round(1e9 / period_ns, 2) if period_ns else 0.0
         return {"device": self._name, **self._stated, "fps_measured": measured}
 
     def _first(self, stream: _Stream) -> Frame:
-        """The first frame with the exposure that was asked, and with no bytes too many."""
+        """Return the first frame that has the requested exposure and no excess bytes."""
         in_step, was_in_step, exposure_us, gain = True, True, float("nan"), float("nan")
         for _ in range(_SETTLING):
             image, record = stream.next(_START_S)
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
-            # Twice: nine shorter frames are eight of ours, where it reports the ninth too late to be noticed.
+            # Twice: if nine shorter frames fill eight of ours, the ninth is reported too late to be noticed.
             if self._is_asked(exposure_us, gain) and in_step and was_in_step:
                 break
         else:
@@ -170,7 +170,7 @@ class RpicamSource:
         return self._framed(image, record)
 
     def _is_asked(self, exposure_us: float, gain: float) -> bool:
-        """Whether a record is of the exposure that was asked; one that states none cannot say otherwise."""
+        """Whether a record has the requested exposure and gain; a value that is missing counts as right."""
         pairs = ((exposure_us, self._exposure_us), (gain, self._gain))
         return all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
 
@@ -180,7 +180,7 @@ class RpicamSource:
         return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
 
     def _date(self, record: dict[str, str], now_ns: int) -> int:
-        """Time stamp of a frame, which gets its number, and those that were lost before it too."""
+        """Return the time stamp of a frame (ns); number it and count the frames lost before it."""
         t_ns, lost = now_ns, 0
         stamp_ns = _number(record, "SensorTimestamp")
         if self._sensor_stamps and not np.isnan(stamp_ns):
@@ -194,13 +194,13 @@ class RpicamSource:
 
 
 class _Stream:
-    """The running program: pairs of an image and its record."""
+    """The running program, a stream of pairs of an image and its record."""
 
     def __init__(self, name: str, command: tuple[str, ...], shape: tuple[int, int]) -> None:
         self._name = name
         self._shape = shape
         self._bytes = shape[0] * shape[1] * 3 // 2
-        self._unread, self._said = b"", b""  # records not yet used; the end of what it wrote to its standard error
+        self._unread, self._said = b"", b""  # records not yet used; the end of its standard error
         records, write_end = os.pipe()
         try:
             self._process = subprocess.Popen(
@@ -210,7 +210,7 @@ class _Stream:
                 stderr=subprocess.PIPE,
                 bufsize=0,
                 pass_fds=(write_end,),
-                process_group=0,  # a terminal's Ctrl-C is for us
+                process_group=0,  # a terminal's Ctrl-C must reach only us
             )
         except OSError as error:
             os.close(records)
@@ -228,12 +228,12 @@ class _Stream:
             records,
             self._process.stderr.fileno(),
         )
-        with contextlib.suppress(OSError):  # more than the user's share: smaller steps
+        with contextlib.suppress(OSError):  # above the user's limit: the pipe stays smaller
             fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._others = [self._records, self._errors]
 
     def next(self, limit_s: float, space: U8 | None = None) -> tuple[U8, dict[str, str]]:
-        """The next image, uint8 (H, W), in `space` if given, and what the program reports of it. Raises DeviceError."""
+        """Return the next image, uint8 (H, W), in `space` if given, and its record. Raises DeviceError."""
         content = np.empty(self._bytes, np.uint8) if space is None else space
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._unread:
@@ -252,18 +252,18 @@ class _Stream:
                     raise self._ended()
                 have += count
             elif not whole and b"\n\n" in self._unread and not _is_readable(self._frames):
-                raise self.other_size()  # a record comes after the whole of its frame
+                raise self.other_size()  # a record follows its whole frame
         lines, _, self._unread = self._unread.partition(b"\n\n")
         pairs = (line.partition("=") for line in lines.decode("ascii", "replace").splitlines())
         image = content[: self._shape[0] * self._shape[1]].reshape(self._shape)
         return image, {key: value for key, _, value in pairs}
 
     def in_step(self) -> bool:
-        """Whether nothing is left of the frame and of its record; False also where the next have come already."""
+        """Whether no bytes remain of the frame and its record; also False if the next have already arrived."""
         return b"\n\n" not in self._unread and not _is_readable(self._frames) and not _is_readable(self._records)
 
     def close(self) -> None:
-        """End it: nobody reads, so it cannot block, and it stops the camera on SIGINT."""
+        """End the program: with its pipes closed it cannot block, and on SIGINT it stops the camera."""
         process = self._process
         assert process.stdout
         assert process.stderr
@@ -284,7 +284,7 @@ class _Stream:
             self._others.remove(self._errors)
 
     def _ended(self) -> DeviceError:
-        """It closed its pipes: why, in its own words."""
+        """Return the error for a program that closed its pipes, with its own last message."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_S)
         while _is_readable(self._errors, 0.0) and (words := os.read(self._errors, _SAID_BYTES)):
@@ -301,7 +301,7 @@ class _Stream:
         return DeviceError(f"{self._name}: no frame arrives; the camera has stalled", code=ReasonCode.STALLED)
 
     def other_size(self) -> DeviceError:
-        """The program's frames are not as large as ours."""
+        """Return the error for frames of the wrong size."""
         height_px, width_px = self._shape
         return DeviceError(
             f"{self._name}: found frames of the wrong size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
@@ -314,7 +314,7 @@ def _is_readable(fd: int, limit_s: float = 0.0) -> bool:
 
 
 def _number(record: dict[str, str], key: str) -> float:
-    """A value of a record; NaN when it has none."""
+    """Return a value of a record; NaN if it is missing or not a number."""
     try:
         return float(record.get(key, "nan"))
     except ValueError:

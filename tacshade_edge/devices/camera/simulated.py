@@ -14,26 +14,26 @@ from tacshade_edge.types import U8, Frame
 
 
 class Script(Protocol):
-    """What is pressed: `simulator.script.Script`, or what a file says."""
+    """The presses over time: `simulator.script.Script`, or those read from a file."""
 
     def at(self, index: int) -> tuple[Press, ...]:
-        """The presses of a frame."""
+        """Return the presses of a frame."""
         ...
 
 
 class SimulatedSource:
     """A `FrameSource` that never ends.
 
-    Frame `seq` is due at a whole number of periods after the opening, and `t_ns` is that time, as a camera's would
-    be; a frame whose time passed before the reader asked for it is dropped and counted. It is drawn then: 10 to 40 ms,
-    60 to 170 at each of the few places of an object that is dragged.
+    Frame `seq` is due at a whole number of periods after `open`, and `t_ns` is that time, as with a camera. A frame
+    that fell due before the reader requested it is dropped and counted. Each frame is drawn when it is read, which
+    takes 10 to 40 ms, or 60 to 170 ms at each of the few places of a dragged object.
 
     Parameters
     ----------
     fps : float
     model : SensorModel, optional
     script : Script, optional
-        What is pressed at each frame; by default every object in turn.
+        The presses of each frame; by default every object in turn.
     """
 
     def __init__(self, *, fps: float, model: SensorModel | None = None, script: Script | None = None) -> None:
@@ -46,7 +46,7 @@ class SimulatedSource:
 
     @property
     def dropped(self) -> int:
-        """Frames whose time passed unread."""
+        """Number of frames that fell due and were not read."""
         return self._dropped
 
     def open(self) -> None:
@@ -54,7 +54,7 @@ class SimulatedSource:
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
-        """Wait until the next frame is due. Raises DecodeError when what the script presses cannot be drawn."""
+        """Wait until the next frame is due, and return it. Raises DecodeError when its presses cannot be drawn."""
         seq = self._next()
         image = self._draw(seq)
         t_ns = self._wait(seq)
@@ -62,7 +62,7 @@ class SimulatedSource:
         return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
 
     def skip(self) -> bool:
-        """Wait until the next frame is due, and draw nothing."""
+        """Wait until the next frame is due, and do not draw it."""
         self._wait(self._next())
         return True
 
@@ -70,7 +70,7 @@ class SimulatedSource:
         """Nothing to release."""
 
     def _next(self) -> int:
-        """Number of the next frame that is not yet due, or is due now."""
+        """Return the number of the next frame that is due now or later."""
         missed = (time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq
         if missed > 0:
             self._dropped += missed
@@ -80,14 +80,14 @@ class SimulatedSource:
         return seq
 
     def _wait(self, seq: int) -> int:
-        """Wait until a frame is due; its time stamp."""
+        """Wait until a frame is due; return its time stamp in ns."""
         t_ns = self._zero_ns + seq * self._period_ns
         if (ahead_ns := t_ns - time.monotonic_ns()) > 0:
             time.sleep(ahead_ns / 1e9)
         return t_ns
 
     def describe(self) -> dict[str, str | int | float]:
-        """Size and pace."""
+        """Return the size and the rate."""
         model = self._sensor.model
         return {
             "device": "simulated",

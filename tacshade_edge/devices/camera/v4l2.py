@@ -1,16 +1,16 @@
 """Camera frames through OpenCV's V4L2 backend.
 
-What OpenCV leaves to us: it reports a device as open that gives no frame, silently takes another format than the
-one asked for, and knows no sequence numbers. So a node is checked before it is opened, everything asked is read
-back, and only a frame that was read proves a camera.
+OpenCV reports a device as open although it delivers no frames, silently accepts a format other than the requested
+one, and provides no sequence numbers. So this module checks a node before opening it, reads every setting back, and
+takes only a frame that was read as proof of a camera.
 
-Limits. OpenCV hides the kernel's error flag of a buffer; a damaged frame is noticed by its length or by the JPEG
-decoder. OpenCV gives a raw buffer back to the driver just before it copies it: a reader that is late by all the
-buffers at once can see the next frame's lines in it.
+Limits. OpenCV hides the kernel's error flag of a buffer; only its length or the JPEG decoder reveals a damaged frame.
+OpenCV returns a raw buffer to the driver just before copying it: a reader that lags behind by all the buffers can see
+lines of the next frame in it.
 
-Time stamps. A driver may stamp a frame with the end that it computed for it, and so be up to a period ahead of the
-clock (the kernel's test driver is, USB cameras by a little): such a stamp shows the clock and the gaps, but a frame
-is never dated after its arrival.
+Time stamps. A driver may stamp a frame with the computed end of the frame, up to a period ahead of the clock (the
+kernel's test driver does, USB cameras by a little). Such a stamp still identifies the clock and reveals gaps, but a
+frame is never dated after its arrival.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from tacshade_edge.types import U8, Frame
 _log = logging.getLogger(__name__)
 
 FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
-_STALL_S = 2  # OpenCV's own limit is 10 s a read
+_STALL_S = 2  # OpenCV's own limit is 10 s per read
 _BUFFERS = 4
 _STAMP_AGE_MAX_NS = 1_000_000_000
-_UNDECODABLE_MAX = 30  # in a row: a second of them is not a camera
+_UNDECODABLE_MAX = 30  # in a row: about a second at 30 fps
 
 
 class V4l2Source:
     """A `FrameSource` (devices.base) on a V4L2 camera; frames are grey, the luma that the camera sent.
 
-    The luma of YUYV, NV12 and GREY is passed on as it is, never rescaled from the video range; MJPG is decoded to grey.
-    Exposure and white balance are locked where the driver has the controls. All methods belong to one thread,
+    The luma of YUYV, NV12 and GREY is passed on unchanged, never rescaled from the video range; MJPG is decoded to
+    grey. Exposure and white balance are locked if the driver has the controls. All methods belong to one thread,
     except `dropped` and `describe`.
 
     Parameters
     ----------
     device : str
-        Path of the node, best one under /dev/v4l/by-id: numbers change when cables do.
+        Path of the node, preferably under /dev/v4l/by-id: numbers change when cables are moved.
     width_px, height_px : int
     fps : float
-        Asked of the driver, which may choose another; `describe` reports what was stated and what is measured.
+        Requested rate; the driver may choose another. `describe` reports the stated and the measured rate.
     fourcc : str
         MJPG, YUYV, NV12 or GREY.
     exposure : int or None
-        In the driver's unit (100 µs for USB cameras); None keeps the driver's value. Automatic is off either way.
+        In the driver's unit (100 µs for USB cameras); None keeps its value. Automatic exposure is off either way.
 
     Raises
     ------
     ConfigError
-        When the arguments can suit no camera.
+        The arguments suit no camera.
     """
 
     def __init__(
@@ -88,20 +88,20 @@ class V4l2Source:
 
     @property
     def dropped(self) -> int:
-        """Frames inferred from gaps between kernel time stamps, or that could not be decoded, since the first open."""
+        """Number of frames inferred lost from gaps in the kernel time stamps, or undecodable, since the first open."""
         return self._dropped
 
     def open(self) -> None:
-        """Check the node, negotiate, lock the controls, and read one frame, which the next `read` returns.
+        """Check the node, negotiate, lock the controls, and read one frame for the next `read` to return.
 
         Raises
         ------
         DeviceError
-            Absent, does not capture, busy, or it gives no frame.
+            The device is absent, does not capture, is busy, or delivers no frame.
         ConfigError
-            The path is there and is no video device; or the device gives another format or size, or not the
-            exposure: drivers choose these by what was asked alone, so asking again cannot help. Once the same
-            configuration has worked it is a DeviceError: then it is the device that changed.
+            The path exists but is no video device; or the device chose another format, size or exposure: drivers
+            choose these by the request alone, so repeating it cannot help. A configuration that has worked raises
+            DeviceError instead: then the device has changed.
         """
         self.close()
         try:
@@ -110,7 +110,7 @@ class V4l2Source:
             if self._proven:
                 raise DeviceError(str(error), code=error.code) from None
             raise
-        # OpenCV reads this when it first waits; its warnings would double our one line.
+        # OpenCV reads this when it first waits; its warnings would repeat our log line.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_STALL_S))
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
         capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2)
@@ -138,7 +138,7 @@ class V4l2Source:
         return frame or self._decoded(self._capture)
 
     def skip(self) -> bool:
-        """Give the next frame's buffer back to the driver as it is. Waits and raises as `read`."""
+        """Return the next frame's buffer to the driver undecoded. Waits and raises as `read` does."""
         if self._capture is None:
             raise DeviceError(f"camera {self._device}: not open")
         if self._pending is None:
@@ -155,13 +155,13 @@ class V4l2Source:
             self._capture = None
 
     def describe(self) -> dict[str, str | int | float]:
-        """What was negotiated; ``fps_measured`` is 0 until there are frames."""
+        """Return the negotiated settings; ``fps_measured`` is 0 until two frames have arrived."""
         period_ns = self._gaps.period_ns
         measured = round(1e9 / period_ns, 2) if period_ns else 0.0
         return {"device": self._device, **self._negotiated, "fps_measured": measured}
 
     def _negotiate(self, capture: cv2.VideoCapture) -> dict[str, str | int | float]:
-        """Set all in the order that drivers need, read all back."""
+        """Set everything in the order that drivers need, and read everything back."""
         height_px, width_px = self._shape
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*self._fourcc))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, width_px)
@@ -219,7 +219,7 @@ class V4l2Source:
         began_ns = time.monotonic_ns()
         if not capture.grab():
             waited_s = (time.monotonic_ns() - began_ns) / 1e9
-            # A read of a device that is gone fails at once, though OpenCV goes on calling it open.
+            # Reading a device that is gone fails at once, although OpenCV still reports it as open.
             gone = waited_s < 0.5 * _STALL_S
             why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
             raise DeviceError(
@@ -228,7 +228,7 @@ class V4l2Source:
             )
 
     def _decoded(self, capture: cv2.VideoCapture, grabbed: bool = False) -> Frame:
-        """The next frame that can be decoded; those passed over count as dropped."""
+        """Return the next frame that can be decoded; undecodable ones count as dropped."""
         size = 0
         for _ in range(_UNDECODABLE_MAX):
             if not grabbed:
@@ -249,21 +249,21 @@ class V4l2Source:
         )
 
     def _date(self, capture: cv2.VideoCapture, now_ns: int) -> int:
-        """Time stamp of the frame that was grabbed, which gets its number, and those that were lost before it too."""
+        """Return the time stamp of the grabbed frame (ns); number it and count the frames lost before it."""
         t_ns, lost = now_ns, 0
         if self._kernel_stamps:
             stamp_ns = _kernel_stamp_ns(capture)
             lost = self._gaps.add(stamp_ns)
             t_ns = min(stamp_ns, now_ns)
         else:
-            self._gaps.add(now_ns)  # for the measured rate; arrival is too uneven to infer losses from
+            self._gaps.add(now_ns)  # for the measured rate only; arrival is too uneven to reveal losses
         self._seq += 1 + lost
         self._dropped += lost
         return t_ns
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
-    """Grey image of one buffer of a camera.
+    """Decode one buffer of a camera into a grey image.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
     Returns
     -------
     uint8 (height_px, width_px), or None
-        None when the bytes are not one whole image of that size. A JPEG must reach its end marker; damage between
-        the markers can pass, as the decoder paints over it.
+        None if the bytes are not one whole image of that size. A JPEG must contain its end marker; damage between
+        the markers can go unnoticed, as the decoder paints over it.
     """
     if fourcc == "MJPG":
         return _decode_jpeg(raw, height_px, width_px)
@@ -295,7 +295,7 @@ def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
     if not data.startswith(b"\xff\xd8"):
         return None
     try:
-        whole = data[: data.rfind(b"\xff\xd9") + 2]  # cameras pad, by any amount
+        whole = data[: data.rfind(b"\xff\xd9") + 2]  # cameras append padding of any length
         image = decode_image(whole, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     except DecodeError:
         return None
@@ -303,4 +303,4 @@ def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
 
 
 def _kernel_stamp_ns(capture: cv2.VideoCapture) -> int:
-    return round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1000) * 1000  # the kernel's are whole microseconds
+    return round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1000) * 1000  # the kernel counts whole microseconds

@@ -1,4 +1,4 @@
-"""A camera's automatic controls, switched off: what they change would look like touch."""
+"""Lock a camera's automatic controls: what they change would look like touch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 import cv2
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
-_NOT_OFFERED = -1.0  # what OpenCV reads of a control that a driver has not
+_NOT_OFFERED = -1.0  # what OpenCV reads for a control that the driver lacks
 
 
 class Properties(Protocol):
@@ -30,13 +30,13 @@ class Lock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A control as it was read back.
+    """A control as read back from the driver.
 
     Attributes
     ----------
     lock : Lock
     value : float or None
-        What the driver holds, in its unit; None when it has no such control, or does not report it.
+        The driver's value, in its unit; None if it has no such control or does not report it.
     """
 
     lock: Lock
@@ -70,7 +70,7 @@ def lock_white_balance(capture: Properties) -> Control:
 
 
 def _set_if_offered(capture: Properties, control: int, value: int) -> float | None:
-    """Set a control and read it back; None when the driver has it not."""
+    """Set a control and read it back; None if the driver lacks it."""
     if capture.get(control) == _NOT_OFFERED:
         return None
     capture.set(control, value)

@@ -1,4 +1,4 @@
-"""What the kernel says of a video device node, asked before and beside OpenCV, which only says no."""
+"""Queries to the kernel about a video device node: OpenCV reports a failure but not its cause."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _EXPECTED = "expected a video device such as /dev/video0 or one under /dev/v4l/b
 
 
 def check_kind(device: str) -> None:
-    """Refuse a path that is there and can never be a camera; what is absent may still come.
+    """Reject an existing path that can never be a camera; an absent device may still appear.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def check_kind(device: str) -> None:
         raise ConfigError(f"camera {device}: found a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     subsystem = Path("/sys/dev/char", number, "subsystem")
-    # A node without an entry there is one that is being plugged or unplugged: opening it shows which.
+    # A node without an entry there is being plugged or unplugged: opening it shows which.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
         raise ConfigError(f"camera {device}: not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
 
@@ -58,7 +58,7 @@ def check_node(device: str) -> str:
     ConfigError
         As `check_kind`.
     DeviceError
-        When there is no such node, it does not capture video, or it may not be opened; one line says which.
+        The node is absent, does not capture video, or may not be opened; the message says which, in one line.
     """
     with _opened(device) as fd:
         capability = bytearray(104)
@@ -78,7 +78,7 @@ def check_node(device: str) -> str:
 
 
 def formats(device: str) -> list[str]:
-    """The four-character codes of the pixel formats that the device offers. Raises as `check_node`."""
+    """Return the four-character codes of the pixel formats that the device offers. Raises as `check_node` does."""
     codes = []
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
@@ -96,7 +96,7 @@ def formats(device: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """One size, or all from a least to a greatest in steps, in px."""
+    """One size, or a range of sizes in steps, in px."""
 
     width_min_px: int
     width_max_px: int
@@ -106,7 +106,7 @@ class Sizes:
     height_step_px: int
 
     def holds(self, width_px: int, height_px: int) -> bool:
-        """Whether the size is one of these."""
+        """Whether the range contains the size."""
         return (
             self.width_min_px <= width_px <= self.width_max_px
             and self.height_min_px <= height_px <= self.height_max_px
@@ -120,7 +120,7 @@ class Sizes:
 
 
 def sizes(device: str, fourcc: str) -> list[Sizes]:
-    """The sizes offered in a format; empty when the driver does not list them. Raises as `check_node`."""
+    """Return the sizes offered in a format; empty if the driver does not list them. Raises as `check_node` does."""
     found = []
     with _opened(device) as fd:
         for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMESIZES, 44, fourcc):
@@ -135,9 +135,9 @@ def sizes(device: str, fourcc: str) -> list[Sizes]:
 
 
 def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple[float, float]]:
-    """The least and greatest frame rate (1/s) of each rate or range of rates that is offered at a size.
+    """Return the minimum and maximum (1/s) of each frame rate, or range of rates, offered at a size.
 
-    Empty when the driver does not list them. Raises as `check_node`.
+    Empty if the driver does not list them. Raises as `check_node` does.
     """
     found = []
     with _opened(device) as fd:
@@ -152,7 +152,7 @@ def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple
 
 
 def _enumerated(fd: int, request: int, size_bytes: int, fourcc: str, *key: int) -> Iterator[bytearray]:
-    """The entries of one of the kernel's lists: asked by index, pixel format and what else chooses the list."""
+    """Yield the entries of a kernel list, requested by index, pixel format and `key`."""
     for index in range(256):
         entry = bytearray(size_bytes)
         struct.pack_into(f"<I4s{len(key)}I", entry, 0, index, fourcc.encode().ljust(4), *key)
@@ -164,7 +164,7 @@ def _enumerated(fd: int, request: int, size_bytes: int, fourcc: str, *key: int) 
 
 
 def is_busy(device: str) -> bool:
-    """Whether another program holds the device's buffers. Ask only after opening failed: it disturbs a stream."""
+    """Whether another program holds the device's buffers. Call only after opening failed: it disturbs a stream."""
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
             request = bytearray(20)
@@ -180,7 +180,7 @@ def is_busy(device: str) -> bool:
 
 @contextmanager
 def _opened(device: str) -> Iterator[int]:
-    """Open a node of the video4linux class, or say in one line why not."""
+    """Open a node of the video4linux class. Raises as `check_node` does."""
     check_kind(device)
     try:
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -1,1 +1,1 @@
-"""The broker."""
+"""MQTT clients of the broker."""

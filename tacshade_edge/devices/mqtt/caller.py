@@ -1,4 +1,4 @@
-"""Asks a running daemon through the broker: requests with their replies, and the values that it keeps publishing."""
+"""A client of a running daemon through the broker: requests with their replies, and the daemon's retained values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class MqttCaller:
     broker : BrokerAddress
     sensor_id : str
     verb : str
-        Of the requests.
+        Verb of the requests.
     watched : sequence of str
         Retained topics to follow, such as ``state``.
 
@@ -58,7 +58,7 @@ class MqttCaller:
         self._client.on_message = self._on_message
 
     def start(self) -> None:
-        """Connect. Raises DeviceError when there is no broker that lets us in."""
+        """Connect. Raises DeviceError when no broker answers or it rejects us."""
         connect(self._client, *self._address)
         self.wait_for(lambda: self._ready or self._failure is not None, CONNECT_S)
         if not self._ready:
@@ -66,12 +66,12 @@ class MqttCaller:
             raise DeviceError(f"{self._where}: {reason}; expected a broker", code=reason.code)
 
     def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
-        """The result of a request.
+        """Send a request and return its result.
 
         Raises
         ------
         DeviceError
-            The daemon or the broker refused it, or the daemon did not answer.
+            The daemon or the broker rejected it, or the daemon did not answer.
         """
         transaction, self._denied = secrets.token_hex(8), None
         payload = json.dumps({**body, "transaction": transaction}).encode()
@@ -92,14 +92,14 @@ class MqttCaller:
         return result
 
     def latest(self, topic: str) -> bytes:
-        """The latest payload of a watched topic; empty before the first."""
+        """Return the latest payload of a watched topic; empty before the first."""
         return self._latest.get(f"{self._base}/{topic}", b"")
 
     def wait_for(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until something that was received makes `condition` true; its last value."""
+        """Wait until a received message makes `condition` true; return its last value."""
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
-            # In slices: a signal's handler runs only between them.
+            # In slices: a signal handler runs only between them.
             while not condition() and (left_s := deadline_s - time.monotonic()) > 0:
                 self._changed.wait(min(left_s, 0.1))
             return condition()
@@ -148,7 +148,7 @@ class MqttCaller:
                     reply = decode_object(message.topic, payload)
                     self._replies[str(reply["transaction"])] = reply
                 except (DecodeError, KeyError):
-                    return  # another's, or nobody's
+                    return  # another caller's reply, or no reply
             else:
                 self._latest[message.topic] = payload
             self._changed.notify_all()

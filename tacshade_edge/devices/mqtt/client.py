@@ -1,4 +1,4 @@
-"""A paho client set up as this daemon needs it; no policy about what it sends."""
+"""A paho client with the settings that this daemon needs; no policy about what it sends."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
 _CONNECT_TIMEOUT_S: Final = 3.0
 _INCOMING_BYTES_MAX: Final = 65536
-# Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so few may be there.
-# A peer that takes nothing for 4 s is given up, before TCP's retries are further apart than our own attempts.
+# Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only a few are allowed.
+# We give up a peer that accepts nothing for 4 s, before TCP retries less often than we reconnect.
 _SOCKET_OPTIONS: Final = (("TCP_NODELAY", 1), ("TCP_NOTSENT_LOWAT", 1 << 17), ("TCP_USER_TIMEOUT", 4000))
 
 
 class BrokerAddress(TypedDict):
-    """Where a broker is and how it lets us in: arguments of everything that connects to one."""
+    """The address of a broker and the credentials for it: arguments of everything that connects to one."""
 
     host: str
     port: int
@@ -33,10 +33,10 @@ class BrokerAddress(TypedDict):
 
 
 def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Client:
-    """A client that will retry every second once its loop runs.
+    """Return a client that retries every second once its loop runs.
 
-    MQTT 5, since only a version 5 connection is given a request's response topic and correlation data;
-    what it publishes reaches 3.1.1 subscribers all the same.
+    It uses MQTT 5, since only a version 5 connection receives a request's response topic and correlation data;
+    subscribers of version 3.1.1 still receive what it publishes.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Cl
 def connect(client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX) -> None:
     """Start the client's network thread, which connects and reconnects by itself.
 
-    A larger packet is never sent to us: requests are small, and memory is bounded.
+    The broker never sends us a packet above `incoming_bytes_max`: requests are small, and memory is bounded.
     """
     client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max))
     client.loop_start()
@@ -78,14 +78,14 @@ def connect_now(
     incoming_bytes_max: int = _INCOMING_BYTES_MAX,
     keepalive_s: int = _KEEPALIVE_S,
 ) -> None:
-    """Connect as `connect`, without a thread: the caller has the client read and write. Raises OSError."""
+    """Connect without a thread: the caller makes the client read and write. Raises OSError."""
     client.connect(host, port, keepalive_s, clean_start=True, properties=_limits(incoming_bytes_max))
 
 
 def publish_properties(
     content_type: str, *, expiry_s: int | None = None, correlation: bytes | None = None, of_will: bool = False
 ) -> Properties:
-    """MQTT 5 properties of a message, or of a last will; subscribers of version 3.1.1 do without."""
+    """Return the MQTT 5 properties of a message or a last will; subscribers of version 3.1.1 do not see them."""
     properties = _properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)
     properties.ContentType = content_type
     if expiry_s is not None:
@@ -96,26 +96,26 @@ def publish_properties(
 
 
 class _Packed(Properties):
-    """Properties that change no more: paho packs them for every message anew, a third of what it does for one."""
+    """Properties packed once: paho packs them again for every message, a third of its work per message."""
 
     def __init__(self, made: Properties) -> None:
         self.__dict__.update(made.__dict__, _packed=made.pack())  # type: ignore[no-untyped-call]
 
     def pack(self) -> bytes:
-        """As paho would."""
+        """Return the same bytes as paho would."""
         packed: bytes = self.__dict__["_packed"]
         return packed
 
 
 def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
-    """The most bytes that a message takes on the wire (MQTT 5, section 3.3)."""
+    """Return an upper bound of a message's size on the wire in bytes (MQTT 5, section 3.3)."""
     header, packet_id, length = 5, 2, 2
     packed: bytes = properties.pack()  # type: ignore[no-untyped-call]
     return header + length + len(topic.encode()) + packet_id + len(packed) + len(payload)
 
 
 def packet_bytes_max(connack: Properties | None) -> int | None:
-    """The largest packet that the broker takes, as its answer to CONNECT states; None where it sets no bound."""
+    """Return the largest packet in bytes that the broker accepts, from its CONNACK; None if it sets no bound."""
     return getattr(connack, "MaximumPacketSize", None)
 
 

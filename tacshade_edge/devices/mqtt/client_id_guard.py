@@ -1,7 +1,7 @@
-"""Who holds a sensor's name at the broker: asked before each connection, since connecting takes it from whoever has it.
+"""Find out who holds a sensor's name at the broker before each connection, since connecting takes it from the holder.
 
-A broker gives a client's id to the newest connection. Two daemons under one `sensor_id` would take it from each other
-for ever; so one that finds another there waits until that one is gone, and says so.
+A broker gives a client ID to the newest connection. Two daemons with one `sensor_id` would take it from each other
+forever, so a daemon that finds another one waits until that is gone, and reports it.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
 
 _ANSWER_S: Final = 2.0
-_UNKNOWN_S: Final = 0.3  # a broker that holds nothing of this name says nothing
+_UNKNOWN_S: Final = 0.3  # a broker without retained values of this name sends nothing
 _LIFE_S: Final = 3.0  # three times the period of `health`
-_GONE_S: Final = 10.0  # a holder that restarts, or a broker, has its name back before another takes it
+_GONE_S: Final = 10.0  # time for a restarted holder or broker to restore the name before another takes it
 _POLL_S: Final = 0.05
 _ALIVE: Final = (b"online", b"degraded")
 
 
 def new_instance() -> dict[str, str | int]:
-    """What distinguishes this daemon from another under the same name: retained as ``instance``."""
+    """Return what distinguishes this daemon from another of the same name: retained as ``instance``."""
     return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
 
 
 class ClientIdGuard:
-    """Watches a name with a connection under another; used by one thread, paho's of the link.
+    """A watch on a name over a connection with another one; only the link's paho thread uses it.
 
     Parameters
     ----------
     client : Client
-        Without a client's id, not connected.
+        Without a client ID, not connected.
     host, port : str, int
     base_topic : str
     instance : dict
-        Ours.
+        This daemon's `new_instance`.
     """
 
     def __init__(self, client: Client, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
@@ -72,20 +72,20 @@ class ClientIdGuard:
         self._seen_s = 0.0
 
     def wait_until_gone(self, report: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
-        """Return when the name may be taken, at once where nobody has it, or where `stopped`.
+        """Return when the name may be taken, at once if nobody holds it, or when `stopped`.
 
-        Also where the broker does not let us ask: connecting will show why.
+        It also returns if the broker rejects the query: connecting will show why.
 
         Parameters
         ----------
         report : callable
-            Gets who holds the name, again and again.
+            Receives the reason, which names the holder, repeatedly.
         stopped : callable
 
         Raises
         ------
         OSError
-            No connection, or it was lost; ask again.
+            No connection, or it was lost; call again.
         """
         self._begin()
         self._client.will_set(self._rival, b"", qos=1, retain=True)
@@ -103,13 +103,13 @@ class ClientIdGuard:
             self._hang_up()
 
     def _free(self, report: Callable[[Reason], None]) -> bool:
-        """Whether nobody else has the name, as far as is known now."""
+        """Whether nobody else holds the name, as far as is known now."""
         quiet_s = time.monotonic() - self._seen_s
         if self._state not in _ALIVE:
             return quiet_s >= (_GONE_S if self._waited else _UNKNOWN_S if self._state is None else 0.0)
         if self._holder.get("id") == self._instance["id"]:
             return True
-        if not self._living:  # what a broker kept of a daemon that died unseen
+        if not self._living:  # retained values of a daemon that died unnoticed
             return quiet_s >= _LIFE_S
         self._waited = True
         reason = Reason(
@@ -123,7 +123,7 @@ class ClientIdGuard:
         return False
 
     def _pump(self, done: Callable[[], bool], limit_s: float | None) -> bool:
-        """Send and receive until `done` or the limit; False where the broker hung up before it let us ask."""
+        """Send and receive until `done` or the limit; False if the broker hung up before it accepted the query."""
         end_s = None if limit_s is None else time.monotonic() + limit_s
         while not done() and (end_s is None or time.monotonic() < end_s):
             if not self._step():
@@ -138,11 +138,11 @@ class ClientIdGuard:
         if sock is not None:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-        while self._step():  # reads the end, and closes
+        while self._step():  # reads to the end of the stream, and closes
             pass
 
     def _step(self) -> bool:
-        """Send and receive once; False without a connection. Not `Client.loop`, whose pair of sockets stays open."""
+        """Send and receive once; False without a connection. `Client.loop` would leave its socket pair open."""
         client = self._client
         if (sock := client.socket()) is None:
             return False
@@ -170,7 +170,7 @@ class ClientIdGuard:
 
 
 def decode_instance(payload: bytes) -> dict[str, Any]:
-    """An ``instance`` of somebody; empty where it is none."""
+    """Return a daemon's decoded ``instance``; empty if it is invalid."""
     try:
         return decode_object("instance", payload)
     except DecodeError:
@@ -178,6 +178,6 @@ def decode_instance(payload: bytes) -> dict[str, Any]:
 
 
 def place_of(instance: dict[str, Any]) -> str:
-    """Where it runs, for a person."""
+    """Return where an instance runs, for a person."""
     host, process = instance.get("host"), instance.get("process")
     return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "in an unknown place"

@@ -1,4 +1,4 @@
-"""Hears what sensors publish; the topics can change at any time, so that no sensor computes what nobody reads."""
+"""A subscriber whose topics can change at any time, so that no sensor computes what nobody reads."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_clien
 _log = logging.getLogger(__name__)
 
 _INCOMING_BYTES_MAX: Final = 1 << 26
-"""More than any camera's `height` or `cloud`."""
+"""Bytes, more than any camera's `height` or `cloud`."""
 
 
 class Follower:
-    """One client at the broker, back by itself; whatever fails on the way is one line of the log.
+    """A client of the broker that reconnects by itself and logs each failure in one line.
 
     Parameters
     ----------
     broker : BrokerAddress
     on_message : callable
-        ``on_message(topic, payload, retained)``, in paho's thread; what it raises leaves that.
+        ``on_message(topic, payload, retained)``, called in paho's thread; an exception leaves that thread.
 
     Raises
     ------
@@ -52,11 +52,11 @@ class Follower:
         self._client.on_message = self._on_paho_message
 
     def start(self) -> None:
-        """Begin to connect, and go on for ever; an absent broker is no error."""
+        """Start connecting, and keep trying until `stop`; an absent broker is no error."""
         connect(self._client, *self._address, incoming_bytes_max=_INCOMING_BYTES_MAX)
 
     def follow(self, topics: Collection[str]) -> None:
-        """Hear these topics and no others from now on; callable from any thread."""
+        """Follow these topics and no others from now on; callable from any thread."""
         with self._lock:
             wanted = frozenset(topics)
             new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
@@ -71,13 +71,13 @@ class Follower:
         self._client.loop_stop()
 
     def _subscribe(self, topics: Collection[str]) -> None:
-        # With QoS 1 a broker holds what is not acknowledged yet, and drops what is more than its queue has room for: of
-        # many retained messages all but the first 40.
+        # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its queue: of many
+        # retained messages, all except the first 40.
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
 
     def _log_once(self, text: str, fix: str = "") -> None:
-        """A change is logged, a repetition is not. With a fix it is a fault."""
+        """Log a change, not a repetition. A text with a fix is a fault."""
         if text == self._logged:
             return
         self._logged = text

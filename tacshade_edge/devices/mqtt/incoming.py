@@ -1,4 +1,4 @@
-"""What comes from the broker: requests, and what this link watches below its base topic."""
+"""Requests received from the broker."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tacshade_edge.protocol.requests import Request, parse_request, parse_transa
 
 @dataclass(frozen=True, slots=True)
 class BadRequest:
-    """A request that is refused.
+    """A rejected request.
 
     Attributes
     ----------
     topic : str or None
-        Where `answer` goes, below the base topic; None where it cannot be answered.
+        Topic for `answer`, below the base topic; None if it cannot be answered.
     answer : bytes
     correlation : bytes or None
     """
@@ -29,12 +29,12 @@ class BadRequest:
 
 
 def read_request(base_topic: str, message: MQTTMessage) -> Request | BadRequest:
-    """Understand a message on ``req/<verb>``."""
+    """Parse a message on ``req/<verb>``."""
     verb = message.topic.removeprefix(f"{base_topic}/req/")
     payload = bytes(message.payload)
     asked = str(getattr(message.properties, "ResponseTopic", None) or "")
     correlation = getattr(message.properties, "CorrelationData", None)
-    # Nowhere else: who may ask must not be able to make this daemon say things in the name of a hand.
+    # Only below res/: a client must not be able to make this daemon publish in the name of a hand.
     below = asked.removeprefix(f"{base_topic}/")
     sound = below != asked and len(below) > len("res/") and asked.isprintable() and not set(asked) & set("+#")
     response_topic = below if sound and below.startswith("res/") else None

@@ -1,4 +1,4 @@
-"""The connection to the MQTT broker, which comes back by itself; what goes over it is `Outgoing`'s."""
+"""The connection to the MQTT broker, which reconnects by itself; `Outgoing` handles what it sends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 class MqttLink(Outgoing):
-    """Publish streams, retained values and replies; receive requests.
+    """A connection that publishes streams, retained values and replies, and receives requests.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ class MqttLink(Outgoing):
     base_topic : str
         ``tacshade/<sensor-id>``, without a slash at either end.
     client_id : str
-        Fixed per sensor: a new connection must take over from a dead one, will included. From a living one it does
-        not: while another daemon has the sensor's name, this one waits.
+        Fixed per sensor: a new connection must take over from a dead one, including its will. It does not take over
+        from a live one: while another daemon uses the sensor's name, this one waits.
     username, password : str or None
     tls_ca : str or None
-        PEM file of the authority that signed the broker's certificate; None is no TLS.
+        PEM file of the authority that signed the broker's certificate; None disables TLS.
     on_request, on_outcome : callable
         Called from paho's network thread or from the caller of `offer`; they must only count or enqueue.
-        `on_outcome` gets (stream, seq, outcome) once per offered payload.
+        `on_outcome` receives (stream, seq, outcome) once per offered payload.
 
     Raises
     ------
@@ -89,25 +89,25 @@ class MqttLink(Outgoing):
 
     @property
     def reason(self) -> Reason | None:
-        """Why not connected; None when connected."""
+        """The reason why the link is not connected; None when it is."""
         return self._reason
 
     def start(self) -> None:
-        """Begin to connect, and go on for ever; an absent broker is no error. Call once."""
+        """Start connecting, and keep trying until `stop`; an absent broker is no error. Call once."""
         self._set_reason(self._with_address(ReasonCode.STARTING, "connecting"))
         connect(self._client, self._host, self._port)
 
     def stop(self, timeout_s: float) -> None:
-        """Publish what waits and ``state`` = ``stopped``, and disconnect; return within `timeout_s` in any case.
+        """Publish what waits and ``state`` = ``stopped``, and disconnect; always return within `timeout_s`.
 
-        A broker that does not take that in time publishes the last will, ``offline``, instead.
+        A broker that does not accept that in time publishes the last will, ``offline``, instead.
         Every payload not sent by then has failed.
         """
         begin = time.monotonic()
         with self._lock:
             streams = [o for o in self._outlets.values() if not o.retain]
             for outlet in streams:
-                outlet.most += 1  # the last of each stream goes before the state
+                outlet.most += 1  # the last payload of each stream precedes the state
         for outlet in streams:
             self._pump(outlet)
         self.set_retained("state", b"stopped")
@@ -124,14 +124,14 @@ class MqttLink(Outgoing):
         self._settle("failed", left)
 
     def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
-        """Hear what is retained under a topic below the base, on every connection; call before `start`.
+        """Subscribe to a topic below the base on every connection, retained value included; call before `start`.
 
-        `on_payload` is called as `on_request`; what this link publishes there itself is left out.
+        `on_payload` is called like `on_request`, but not for what this link itself publishes there.
         """
         self._watched[topic] = on_payload
 
     def _lose(self, reason: Reason | None) -> list[tuple[str, Item]]:
-        """The connection is gone; what failed with it. Lock held."""
+        """Record the loss of the connection; return the items that failed with it. Lock held."""
         if self._stopping:
             self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
         else:
@@ -142,7 +142,7 @@ class MqttLink(Outgoing):
         return Reason(code, f"{self._where}: {text}")
 
     def _set_reason(self, reason: Reason | None, fix: str = "") -> None:
-        """Keep why we are not connected; a change is logged, a repetition is not. With a fix it is a fault."""
+        """Store why we are not connected; log a change, not a repetition. A reason with a fix is a fault."""
         if reason == self._reason:
             return
         self._reason = reason
@@ -152,7 +152,7 @@ class MqttLink(Outgoing):
             _log.info("%s", reason or f"{self._where}: connected")
 
     def _end_thread(self, deadline: float) -> None:
-        """Wait for paho's thread; one that hangs in a connection attempt is a daemon thread and is left."""
+        """Wait for paho's thread; leave one that hangs in a connection attempt, since it is a daemon thread."""
         sock = self._client.socket()
         if sock is not None:
             try:
@@ -166,7 +166,7 @@ class MqttLink(Outgoing):
 
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
         self._thread, self._refused = threading.current_thread(), False
-        if self._connected:  # paho can lose a connection without on_disconnect
+        if self._connected:  # paho can lose a connection without calling on_disconnect
             self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
         self._holder.wait_until_gone(self._report_holder, lambda: self._stopping)
         if self._stopping:
@@ -217,7 +217,7 @@ class MqttLink(Outgoing):
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if self._connected:
             self._drop(self._with_address(ReasonCode.LOST, f"connection lost ({code})"))
-        elif not self._refused and not self._stopping:  # else that reason stays, and our own end is none
+        elif not self._refused and not self._stopping:  # else the refusal stays the reason, or we ended it ourselves
             text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
             with self._lock:
                 self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._tls_ca))

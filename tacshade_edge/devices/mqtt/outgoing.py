@@ -1,10 +1,10 @@
-"""What goes to the broker: never blocks its caller, bounded whatever the peer does.
+"""Publishing to the broker: it never blocks its caller, and its memory is bounded whatever the peer does.
 
-paho's own queue is unbounded for QoS 0, so every topic has an `TopicSlot`: one waiting payload, the newest, and
+paho's own queue is unbounded for QoS 0, so every topic has a `TopicSlot`: one waiting payload, the newest, and
 at most two that paho holds and has not yet written.
 
-Threads: callers' and paho's network thread. `_lock` guards all state and is never held while paho or a
-callback of ours is called, since paho calls back with locks of its own held.
+Threads: the callers' and paho's network thread. `_lock` guards all state and is never held during a call to paho or to
+a callback of ours, since paho calls back while it holds its own locks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 _UNSENT_PER_STREAM: Final = 2
 _ANSWERS_OPEN_MAX: Final = 16
-_STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
+_STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
 _NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
 CONTENT_TYPES: Final = {
@@ -54,12 +54,12 @@ class Outgoing:
     Parameters
     ----------
     client : Client
-        Its `on_publish` becomes this object's.
+        This object sets its `on_publish`.
     where : str
-        The broker, for the log.
+        Name of the broker in the log.
     base_topic : str
     on_outcome : callable
-        Gets (stream, seq, outcome) once per offered payload.
+        Receives (stream, seq, outcome) once per offered payload.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Outgoing:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._connected, self._stopping = False, False
-        self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
+        self._epoch = 0  # counts lost connections: items of an earlier one are already settled
         self._outlets: dict[str, TopicSlot] = {}
         self._by_mid: dict[int, tuple[TopicSlot, Item, int] | None] = {}  # with its QoS; None: sent once
-        self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
+        self._early: dict[int, MqttCode] = {}  # answers that came before publish() returned their mid
         self._answers_open = 0
         self._refusals = Refusals(where)
         self._packet_bytes_max: int | None = None
@@ -82,18 +82,18 @@ class Outgoing:
 
     @property
     def connected(self) -> bool:
-        """The broker has accepted us."""
+        """Whether the broker has accepted us."""
         return self._connected
 
     def counters(self) -> dict[str, int]:
-        """Since the start; all names are always there. `refused`: the broker denied it, or takes none so large."""
+        """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
         with self._lock:
             return {name: self._counters[name] for name in _COUNTERS}
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.
 
-        The topic is below the base topic; with a slash at its beginning it is from the broker's root.
+        The topic is relative to the base topic; with a leading slash it starts at the broker's root.
         """
         with self._lock:
             outlet = self._outlet(topic, qos, True)
@@ -101,24 +101,24 @@ class Outgoing:
         self._pump(outlet)
 
     def has_listener(self, stream: str) -> bool:
-        """Whether a stream may have a subscriber: False while the broker's latest answer was that it has none.
+        """Whether a stream may have a subscriber: False while the broker's latest answer reported none.
 
-        True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
-        never says so (MQTT 5 leaves it to the broker).
+        Even then it is True once a second, so that the next payload probes again. It is always True while the broker
+        is away, or if it never reports this (MQTT 5 leaves that to the broker).
         """
         with self._lock:
             outlet = self._outlets.get(stream)
             return outlet is None or not outlet.no_listener or outlet.probe_due(time.monotonic_ns())
 
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
-        """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
+        """Send a payload of a stream (not retained) once the peer accepts it, unless a newer one comes first.
 
-        With QoS 0, but one payload a second with QoS 1: its answer shows whether anyone listens (`has_listener`).
+        QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone listens (`has_listener`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
-        ``refused`` (the broker denied it or, with QoS 0, what it answered last; or it takes none so large), or
-        ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
-        and is the first to go out: subscribers are never left with an older truth.
+        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
+        ``failed`` (displaced or lost while the broker was away). The newest payload is kept while the broker is away
+        and is sent first afterwards, so that subscribers do not keep outdated data.
         """
         with self._lock:
             outlet = self._outlet(stream, 0, False)
@@ -130,18 +130,18 @@ class Outgoing:
         self._pump(outlet)
 
     def reply(self, request: Request, payload: bytes) -> None:
-        """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
+        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic. Lost with the connection."""
         self._send_once("replies", request.response_topic or f"res/{request.verb}", payload, request.correlation)
 
     def publish_event(self, topic: str, payload: bytes) -> None:
-        """Say once what happened, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
+        """Publish an event once, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
         self._send_once("events", topic, payload, None)
 
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
 
     def _outlet(self, topic: str, qos: int, retain: bool) -> TopicSlot:
-        """The topic's outlet, made on first use. Lock held."""
+        """Return the topic's outlet, created on first use. Lock held."""
         if topic not in self._outlets:
             content_type = CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
@@ -150,7 +150,7 @@ class Outgoing:
         return self._outlets[topic]
 
     def _pump(self, outlet: TopicSlot) -> None:
-        """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
+        """Hand paho the items it may send. One thread at a time per outlet; a second leaves the work to the first."""
         while True:
             with self._lock:
                 item = outlet.take() if self._may_go(outlet) else None
@@ -172,9 +172,9 @@ class Outgoing:
             with self._lock:
                 outlet.busy = False
                 if epoch != self._epoch:
-                    continue  # lost meanwhile, and settled then
+                    continue  # already settled when the connection was lost
                 taken = info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
-                if not taken:  # the connection is going; the next one pumps
+                if not taken:  # the connection is failing; the next one pumps
                     failed = outlet.refuse(item)
                     settled = None if failed is None else ("failed", failed)
                 elif (code := self._early.pop(info.mid, None)) is not None:
@@ -187,16 +187,16 @@ class Outgoing:
                 return
 
     def _may_go(self, outlet: TopicSlot) -> bool:
-        """Whether paho may be handed more of a topic. Lock held.
+        """Whether paho may get more items of a topic. Lock held.
 
-        The state goes first, and the rest once the broker has answered it: else frames that access rules deny would
-        count as published until they are known.
+        The state goes first, and the rest once the broker has answered it: otherwise frames that access rules deny
+        would count as published until the answer.
         """
         state = self._outlets["state"]
         return self._connected and not self._stopping and (outlet is state or state.refused is not None)
 
     def _settled(self, outlet: TopicSlot, outcome: PayloadOutcome, item: Item) -> None:
-        """An item that paho had is done. Lock not held."""
+        """Report the outcome of an item that paho held. Lock not held."""
         if not outlet.retain:
             self._settle(outcome, [(outlet.topic, item)])
         elif outlet.topic == "state":
@@ -208,7 +208,7 @@ class Outgoing:
     def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
         """Publish a reply or an event (QoS 1).
 
-        Dropped when not connected, too large or when 16 are not yet acknowledged.
+        It is dropped if not connected, if too large, or if 16 are still unacknowledged.
         """
         properties = publish_properties(_JSON, correlation=correlation)
         with self._lock:
@@ -232,13 +232,13 @@ class Outgoing:
                 self._by_mid[info.mid] = None
 
     def _answered(self, code: MqttCode) -> None:
-        """The broker has answered a reply or an event of ours. Lock held."""
+        """Record the broker's answer to a reply or an event. Lock held."""
         self._answers_open -= 1
         self._note("res or event", code)
         self._counters["refused"] += code.is_failure
 
     def _done(self, outlet: TopicSlot, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
-        """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
+        """Record that paho sent an item (QoS 0) or the broker answered it (QoS 1); return its outcome. Lock held."""
         outlet.done(item)
         if qos == 1:
             outlet.no_listener = code.value == _NO_LISTENER
@@ -246,12 +246,12 @@ class Outgoing:
             self._note(outlet.topic, code)
             self._counters["refused"] += outlet.retain and code.is_failure
         self._changed.notify_all()
-        # With QoS 0 nobody answers: the rules that deny the state, or this stream's latest probe, deny it too.
+        # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
         refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
         return "refused" if refused else "published"
 
     def _note(self, topic: str, code: MqttCode) -> None:
-        """Keep whether the broker takes a topic. Lock held."""
+        """Record whether the broker accepts a topic. Lock held."""
         if code.is_failure:
             which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
             expected = f"expected access rules (ACL) that allow this user to publish to {which}"
@@ -278,7 +278,7 @@ class Outgoing:
             self._on_outcome(stream, item.seq, outcome)
 
     def _forget(self) -> list[tuple[str, Item]]:
-        """Forget the connection; what failed with it. Lock held."""
+        """Forget the connection; return the stream items that failed with it. Lock held."""
         self._counters["losses"] += self._connected and not self._stopping
         self._connected = False
         self._epoch += 1

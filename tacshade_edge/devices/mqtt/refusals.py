@@ -1,4 +1,4 @@
-"""What the broker does not take of us, reported once: it goes on for as long as nobody fixes the broker's rules."""
+"""Topics that the broker rejects, logged once: rejections continue until somebody fixes the broker's rules."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ _log = logging.getLogger(__name__)
 
 
 class Refusals:
-    """Topics that are refused now. Not locked: its owner guards it.
+    """The topics that are rejected now. It has no lock: its owner guards it.
 
     Parameters
     ----------
     where : str
-        The broker, for the log.
+        Name of the broker in the log.
     """
 
     def __init__(self, where: str) -> None:
@@ -21,13 +21,13 @@ class Refusals:
         self._topics: set[str] = set()
 
     def refused(self, topic: str, why: str) -> None:
-        """A message to a topic, or a subscription to it, was refused; the first one is logged."""
+        """Record a rejected message or subscription to a topic; log the first."""
         if not self._topics:
             _log.warning("%s: rejects %s: %s; further rejections are not logged", self._where, topic, why)
         self._topics.add(topic)
 
     def taken(self, topic: str) -> None:
-        """One was taken; the end of all refusals is logged."""
+        """Record an accepted one; log the end of all rejections."""
         if topic in self._topics:
             self._topics.remove(topic)
             if not self._topics:

@@ -1,4 +1,4 @@
-"""A serial port through pyserial: bytes and nothing else. Policy (when to try again, what to say) is the daemon's."""
+"""A serial port through pyserial: bytes only. The daemon decides when to retry and what to log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tacshade_edge.reasons import ReasonCode
 READ_S = 0.05
 WRITE_S = 0.1
 _CHUNK = 4096
-_NO_DATA = "readiness to read but returned no data"  # of pyserial, without a number
+_NO_DATA = "readiness to read but returned no data"  # pyserial's message, which has no errno
 _CAUSES = {
     errno.ENOENT: (ReasonCode.ABSENT, "no such device"),
     errno.EAGAIN: (ReasonCode.IN_USE, "in use by another program"),
@@ -33,7 +33,7 @@ class SerialPort:
     Parameters
     ----------
     device : str
-        A path under /dev, best one under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``).
+        A path under /dev, preferably under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``).
     baud : int
         Bits per second; USB devices without a UART ignore it.
     """
@@ -44,23 +44,23 @@ class SerialPort:
         self._low_latency = ""
         self._proven = False
         self._port: serial.Serial | None = None
-        self._closing = threading.Lock()  # a descriptor that was closed may be another's already
+        self._closing = threading.Lock()  # the number of a closed descriptor may already be reused
 
     def open(self) -> None:
-        """Open for this process alone.
+        """Open the port for exclusive use.
 
         Raises
         ------
         DeviceError
             Absent, in use, no permission.
         ConfigError
-            It can never work: no device, an unknown kind of URL. Once it has worked it is a DeviceError.
+            It can never work: not a device, an unknown kind of URL. A port that has worked raises DeviceError.
         """
         self.close()
         try:
             check_kind(self.device)
         except ConfigError as error:
-            if self._proven:  # it worked before: it is the place under /dev that changed, and may change back
+            if self._proven:  # it worked before: the path under /dev has changed, and may change back
                 raise DeviceError(str(error), code=error.code) from None
             raise
         try:
@@ -69,7 +69,7 @@ class SerialPort:
             port.timeout, port.write_timeout = READ_S, WRITE_S
             port.exclusive = True
             port.open()
-        except ValueError as error:  # of pyserial: a rate that this port does not know
+        except ValueError as error:  # pyserial: the port does not support this rate
             raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port supports") from None
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
@@ -77,7 +77,7 @@ class SerialPort:
         self._low_latency = _set_low_latency(port)
 
     def read(self) -> bytes:
-        """What has come; waits at most `READ_S` for the first byte. Raises DeviceError when the port is lost."""
+        """Return the received bytes; wait at most `READ_S` for the first. Raises DeviceError when the port is lost."""
         port = self._opened()
         try:
             first = bytes(port.read(1))
@@ -86,7 +86,7 @@ class SerialPort:
             raise self._failed(error) from error
 
     def write(self, data: bytes) -> bool:
-        """Give bytes to the port; False when it took not all within `WRITE_S`: nobody reads at the other end."""
+        """Write bytes; return False if the port did not take all within `WRITE_S`: nobody reads at the other end."""
         port = self._opened()
         try:
             port.write(data)
@@ -97,28 +97,28 @@ class SerialPort:
         return True
 
     def unsent(self) -> int:
-        """How many bytes that `write` took wait in the driver; 0 where it keeps no count. Raises DeviceError."""
+        """Return how many written bytes wait in the driver; 0 if it keeps no count. Raises DeviceError."""
         try:
             return int(getattr(self._opened(), "out_waiting", 0))
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
 
     def wake(self) -> None:
-        """Make a `read` that waits return; from any thread."""
+        """Make a waiting `read` return; callable from any thread."""
         with self._closing:
             cancel = getattr(self._port, "cancel_read", None)
             if cancel is not None:
                 cancel()
 
     def close(self) -> None:
-        """Let go of the port; safe to call twice."""
+        """Close the port; safe to call twice."""
         with self._closing:
             port, self._port = self._port, None
             if port is not None:
                 port.close()
 
     def describe(self) -> dict[str, str | int | float]:
-        """For ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
+        """Return details for ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
         details: dict[str, str | int | float] = {"device": self.device, "baud": self.baud}
         if self._port is not None and self._low_latency:
             details["low_latency"] = self._low_latency
@@ -128,7 +128,7 @@ class SerialPort:
         return details
 
     def _failed(self, error: BaseException) -> DeviceError:
-        """On one line, and in the place of pyserial's words ours where the cause is known."""
+        """Return the error in one line; our text replaces pyserial's if the cause is known."""
         number = error.errno if isinstance(error, OSError) else None
         code, text = _CAUSES.get(number or 0, (ReasonCode.DEVICE, " ".join(str(error).split())))
         if code is ReasonCode.DEVICE and _NO_DATA in text:
@@ -142,7 +142,7 @@ class SerialPort:
 
 
 def check_kind(device: str) -> None:
-    """Raises ConfigError where waiting cannot help: a path that is there and is no device, a URL of no known kind."""
+    """Raise ConfigError if waiting cannot help: an existing path that is no device, or an unknown kind of URL."""
     if "://" in device:
         try:
             serial.serial_for_url(device, do_not_open=True)
