@@ -17,7 +17,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder
 from tacshade_edge.storage.tables.presses import read_presses
 from tools.testbed.patience import wait_until
-from tools.testbed.person import person
+from tools.testbed.person import Person, person
 from tools.testbed.robot import PtyRobot
 
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
@@ -96,6 +96,18 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
     calibrate(read_sensor(folder.sensor), folder.references())
 
 
+NO_POSE = "not taken: the robot reported no pose for this picture"
+
+
+def takes(one: Person, line: str, shown: str) -> None:
+    """Type a press until it is taken: on a busy machine the robot's poses may be late, and a person tries again."""
+    for _ in range(5):
+        one.types(line)
+        if one.hears(shown, NO_POSE) == shown:
+            return
+    raise AssertionError(f"{line!r}: {NO_POSE}, five times")
+
+
 @pytest.mark.slow
 def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
     """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
@@ -132,15 +144,13 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
         one.hears("press 2 [ball 6, where the robot holds it]:")
         place = flange[1]
         press(tmp_path, f"ball,6,{depth_mm},4,-4.5")
-        one.types("")
-        one.hears("press_002.png: ball of 6 mm, ")
+        takes(one, "", "press_002.png: ball of 6 mm, ")
         one.types("undo")
         one.hears("press 2 [ball 6, where the robot holds it]:")
-        one.types("ball 6")
-        one.hears("press_002.png: ball of 6 mm, ")
+        takes(one, "ball 6", "press_002.png: ball of 6 mm, ")
         robot.unplug()
         one.types("")
-        one.hears("not taken: the robot reported no pose for this picture (/dev/shm/tacshade-capture-")
+        one.hears(f"{NO_POSE} (/dev/shm/tacshade-capture-")
         one.types("done")
         assert one.ends() == 0
     link.unlink(missing_ok=True)
