@@ -25,7 +25,7 @@ TREE = Path(__file__).resolve().parents[2]
 PYTEST = (sys.executable, "-m", "pytest")
 WORKERS = str((os.cpu_count() or 1) + 1)
 """One more than there are cores: every third test waits, for a broker, a second, a page. With two per core the slow
-stage takes 7 % less time, and tests that read a clock fail."""
+stage is hardly faster (743 s, not 760), and tests that read a clock may fail."""
 QUICK = "not guest and not broker and not slow and not browser"
 SLOW = "(slow or broker or browser) and not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
