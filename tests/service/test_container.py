@@ -28,10 +28,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.container]
 
 
 def done(*command: str | Path, **environment: str) -> str:
-    """What a command said; why it failed."""
-    told = subprocess.run(command, cwd=TREE, env=os.environ | environment, capture_output=True, text=True, check=False)
-    assert told.returncode == 0, (command, told.stdout[-2000:], told.stderr[-2000:])
-    return told.stdout
+    """Run a command, which must succeed; return its output."""
+    found = subprocess.run(command, cwd=TREE, env=os.environ | environment, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, (command, found.stdout[-2000:], found.stderr[-2000:])
+    return found.stdout
 
 
 def base(python: tuple[int, int]) -> Path:
@@ -47,7 +47,7 @@ def base(python: tuple[int, int]) -> Path:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the image's files in `root` and what it tells of itself in image.json."""
+    """A folder with the image's files in `root` and its configuration in image.json."""
     python = sys.version_info[:2]
     if os.getuid() != 0:
         pytest.skip("making a root file system needs root")
@@ -67,10 +67,10 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         words += ("--build-arg", f"TACSHADE_EDGE_VERSION={built_version}", "--file", "Containerfile")
         words += ("--volume", f"{wheels}:/wheels:ro", "--volume", f"{folder}/pip.conf:/etc/pip.conf:ro")
         done(*podman, "build", "--quiet", *words, ".")
-        told = json.loads(done(*podman, "inspect", "localhost/tacshade-edge"))[0]
+        found = json.loads(done(*podman, "inspect", "localhost/tacshade-edge"))[0]
         (folder / "version").write_text(built_version)  # a commit while it is built gives the tree another one
-        (folder / "image.json").write_text(json.dumps(told["Config"]))
-        print(f"the image has {told['Size'] / 1e6:.0f} MB, its base {base(python).stat().st_size / 1e6:.0f} MB")
+        (folder / "image.json").write_text(json.dumps(found["Config"]))
+        print(f"the image has {found['Size'] / 1e6:.0f} MB, its base {base(python).stat().st_size / 1e6:.0f} MB")
         made = done(*podman, "create", "localhost/tacshade-edge").strip()
         (folder / "root").mkdir()
         done("sh", "-c", f'{" ".join(podman)} export {made} | tar -x -C "{folder}/root"')
@@ -99,8 +99,10 @@ def test_it_is_the_program_and_no_root(built: Path) -> None:
     assert image["User"] == "10001:10001"
     assert (image["Entrypoint"], image["Cmd"]) == (["tacshade-edge"], ["run"])
     assert list(image["Volumes"]) == ["/var/lib/tacshade-edge"]
-    told = done("chroot", "--userspec=10001:10001", built / "root", "/opt/tacshade-edge/bin/tacshade-edge", "--version")
-    assert told == f"tacshade-edge {(built / 'version').read_text()}\n"
+    found = done(
+        "chroot", "--userspec=10001:10001", built / "root", "/opt/tacshade-edge/bin/tacshade-edge", "--version"
+    )
+    assert found == f"tacshade-edge {(built / 'version').read_text()}\n"
     assert not (built / "root/src").exists()
 
 

@@ -76,8 +76,8 @@ def fill(folder: Path, ways: list[str], number: str) -> None:
         home.mkdir(mode=0o700)
         os.environ["GNUPGHOME"] = str(home)
         words = ("-m", "tools.release.package_debian", "--machine", "x86_64", "--python", PYTHON, "--level", "1")
-        told = os.environ | {"TACSHADE_EDGE_VERSION": number}
-        subprocess.run((sys.executable, *words, "--out", str(debs)), cwd=TREE, env=told, check=True)
+        environment = os.environ | {"TACSHADE_EDGE_VERSION": number}
+        subprocess.run((sys.executable, *words, "--out", str(debs)), cwd=TREE, env=environment, check=True)
         words = ("--batch", "--passphrase", "", "--quick-generate-key", KEY, "ed25519", "sign", "never")
         subprocess.run(("gpg", *words), check=True, capture_output=True)
         apt_repository.lay_out(sorted(debs.glob("*.deb")), folder / "apt", KEY)
@@ -93,8 +93,8 @@ def boot(way: str, port: int, number: str, out: Path, native: bool) -> int:
         return guest.run(["bash", f"/out/{SCRIPT.name}", *words], out.resolve(), SILENT_S, True, base())
     (out / "scenario").write_text(f"#!/bin/bash\nexec bash /payload/{SCRIPT.name} {' '.join(words)}\n")
     (out / "scenario").chmod(0o755)
-    told = os.environ | {"FRESH": str(base()), "LIMIT_S": str(NATIVE_S)}
-    return subprocess.run((TREE / "tools/rig/boot_systemd.sh", out.resolve()), env=told, check=False).returncode
+    environment = os.environ | {"FRESH": str(base()), "LIMIT_S": str(NATIVE_S)}
+    return subprocess.run((TREE / "tools/rig/boot_systemd.sh", out.resolve()), env=environment, check=False).returncode
 
 
 def main() -> int:
