@@ -29,7 +29,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tools.training.data import KINDS, Data, batch, load, shards_in
-from tools.training.loss import FIGURES, LOSSES
+from tools.training.loss import FIGURES, LOSSES, halved
 from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, grow
 from tools.training.shipped import shipped
 from tools.training.torn import spoil
@@ -154,7 +154,7 @@ class Run:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         x, *true = made
-        with torch.autocast(torch.device(args.device).type, torch.bfloat16):
+        with halved(args.device):
             said = self.net(x.contiguous(memory_format=torch.channels_last))
         loss = LOSSES[args.net](said, args.fold, *true)
         self.optimiser.zero_grad(set_to_none=True)
