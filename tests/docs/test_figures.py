@@ -112,7 +112,7 @@ def readme() -> Claims:
     trained, other = (Page("objects", family) for family in FAMILIES.values())
     mean = ("mean", "balanced")
     error, elsewhere = (rounded(page.cell("ME mm", *mean), 2) for page in (trained, other))
-    yield f"**{error} mm** mean distance from the true surface ({elsewhere} mm on another family)"
+    yield f"**{error} mm** mean distance from the true surface ({elsewhere} mm on another sensor family)"
     depth = ("balanced", "depth")
     real = Page("real-raw")
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
@@ -445,7 +445,7 @@ def hand() -> Claims:
     page = Page("../decisions/0010-several-sensors")
     column = "memory, MB"
     (together,) = page.cells(column, "one command, forked processes")
-    (apart,) = page.cells(column, "five commands, as under a template unit")
+    (apart,) = page.cells(column, "five commands, as with a systemd template unit")
     yield f"Five sensors take {together} MB where five services would take {apart}"
 
 
