@@ -162,7 +162,8 @@ def shear_under_drag() -> Claims:
     yield f"within 0.35 mm or a tenth of the shear in {one}, {two} and {three} % of `accurate`'s contacts."
     direction = max(trained.number("direction off °: 95 %", what, "accurate") for what in DRAGS[1:4])
     twist = max(trained.number("twist off °: 95 %", what, "accurate") for what in DRAGS[1:4])
-    yield f"In 95 % of these contacts, the direction is within {direction:.0f}° and the twist within {math.ceil(twist)}°"
+    yield f"In 95 % of these contacts, the direction is within {direction:.0f}° and the twist within"
+    yield f"the twist within {math.ceil(twist)}°; if the object"
     yield f"tilted by 15°, the twist is within {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
 
 
