@@ -162,7 +162,8 @@ def shear_under_drag() -> Claims:
     yield f"within 0.35 mm or a tenth of the shear in {one}, {two} and {three} % of `accurate`'s contacts."
     direction = max(trained.number("direction off °: 95 %", what, "accurate") for what in DRAGS[1:4])
     twist = max(trained.number("twist off °: 95 %", what, "accurate") for what in DRAGS[1:4])
-    yield f"In 95 % of them, the direction is within {direction:.0f}° and the twist within {math.ceil(twist)}°"
+    yield f"In 95 % of these contacts, the direction is within {direction:.0f}° and the twist within"
+    yield f"the twist within {math.ceil(twist)}°; if the object"
     yield f"tilted by 15°, the twist is within {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
 
 
@@ -321,15 +322,15 @@ def recording() -> Claims:
     text = (ROOT / "docs" / "results" / "recording.md").read_text(encoding="utf-8")
     grey, colour = (re.findall(rf"^{name}, recorder: ([\d.]+) ms, (\d+) kB$", text, re.MULTILINE)[0] for name in SHOWN)
     cores = sorted(extra_cores(row) for row in ("recording", "recording, mcap"))
-    yield f"an extra {cores[0]} to {cores[1]} of a core:"
-    yield f"{grey[0]} ms to encode a frame of {grey[1]} kB, {colour[0]} ms for one of {colour[1]} kB in colour"
+    yield f"an extra {cores[0]} to {cores[1]} of a core. Encoding took"
+    yield f"{grey[0]} ms for a grey frame of {grey[1]} kB and {colour[0]} ms for a colour frame of {colour[1]} kB"
 
 
 SHOWN = ("grey", "colour")
 
 
 def pre_roll() -> Claims:
-    yield f"It costs {extra_cores('pre-roll')} of a core at 60 frames/s"
+    yield f"The pre-roll costs {extra_cores('pre-roll')} of a core at 60 frames/s"
 
 
 def opencv_beside_onnxruntime() -> Claims:
@@ -457,7 +458,7 @@ def flange() -> Claims:
     )
     assert ms_in == "20 of 20"
     yield f"the median errors were {mm} mm, {deg}° and {ms} ms"
-    yield f"{int(mm_in.split()[0])} were within 0.5 mm, {int(deg_in.split()[0])} within 0.7°, all within 5 ms"
+    yield f"{int(mm_in.split()[0])} were within 0.5 mm, {int(deg_in.split()[0])} within 0.7° and all within 5 ms"
 
 
 def object_motion() -> Claims:
