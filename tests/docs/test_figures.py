@@ -134,14 +134,14 @@ def drag() -> Claims:
     me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
     still, _, two, three, turned = me["accurate"]
     yield (
-        f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, {three} "
-        f"mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
+        f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, "
+        f"{three} mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
     )
     for profile, verb in (("balanced", "has an ME of"), ("fast", "of")):
         still, _, two, three, turned = me[profile]
         yield f"`{profile}` {verb} {still}, {two}, {three} and {turned} mm"
     still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
-    yield f"`accurate` has an ME of {still}, {two}, {three} and {turned} mm."
+    yield f"`accurate` has MEs of {still}, {two}, {three} and {turned} mm in these cases."
     frames, refused = (
         sum(int(trained.cell(column, "all", profile)) for profile in PROFILES) for column in ("frames", "refused")
     )
@@ -170,14 +170,14 @@ def no_presses() -> Claims:
     mean = ("mean", "accurate")
     yield f"`accurate` has an ME of {trained.cell('ME mm', *mean)} mm and an SD of {trained.cell('SD %', *mean)} %"
     yield f"and {other.cell('ME mm', *mean)} mm and {other.cell('SD %', *mean)} % on the other."
-    yield f"(`balanced` improves from {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
+    yield f"(`balanced` improves from an ME of {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
 
 
 def other_objects() -> Claims:
     trained, other = (Page("other-objects", family) for family in FAMILIES.values())
-    yield f"A cone's tip is {trained.cell('depth off %', 'cone', 'accurate')} % too shallow with `accurate`"
+    yield f"A cone's tip appears {trained.cell('depth off %', 'cone', 'accurate')} % too shallow with `accurate`"
     cones = [int(other.cell("depth off %", "cone", profile)) for profile in PROFILES]
-    yield f"and {min(cones)} to {max(cones)} % on the other family"
+    yield f"and {min(cones)} to {max(cones)} % too shallow on the other family"
     plates = [page.cell("missed", "plate", profile).split("/") for page in (trained, other) for profile in PROFILES]
     yield f"up to {max(int(missed) for missed, _ in plates)} of {plates[0][1]} presses"
 
@@ -199,7 +199,7 @@ def limits() -> Claims:
     )
     for title, what in (
         ("least depth at which 90 % of ball presses are found (radius 6 mm)", "ball, radius 6 mm"),
-        ("the same for ball presses (radius 3 mm)", "ball, radius 3 mm"),
+        ("least depth at which 90 % of ball presses are found (radius 3 mm)", "ball, radius 3 mm"),
     ):
         yield line(title, (least_depth(what, profile) for profile in LIMITS_ORDER))
     for title, depth in (("mean depth error with a ball pressed 3 mm deep", 3), ("6 mm deep", 6), ("8 mm deep", 8)):
@@ -419,7 +419,7 @@ def arm_frame() -> Claims:
     boards = [page.cell(f"{board}, ms", *row) for board in ("Pi 5 (Cortex-A76, 2.4 GHz)", "Pi 4 (Cortex-A72, 1.8 GHz)")]
     yield (
         f"takes {page.cell('all', *row)} million instructions for a frame in contact, of which shear takes "
-        f"{page.cell('shear', *row)} million. The estimated time is {boards[0]} ms on a Pi 5 and {boards[1]} ms "
+        f"{page.cell('shear', *row)} million. The estimated frame time is {boards[0]} ms on a Pi 5 and {boards[1]} ms "
         "on a Pi 4"
     )
 
