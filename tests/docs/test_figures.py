@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PROFILES = ("accurate", "balanced", "fast")
 LIMITS_ORDER = ("fast", "balanced", "accurate")
-FAMILIES = {"as trained on": "tacshade", "another family": "other"}
+FAMILIES = {"training family": "tacshade", "other family": "other"}
 WORDS = ("none", "one", "two", "three", "four", "five")
 Claims = Iterable[str]
 """Sentences and lines; spaces and line ends count alike."""
@@ -137,7 +137,7 @@ def drag() -> Claims:
         f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, "
         f"{three} mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
     )
-    for profile, verb in (("balanced", "has an ME of"), ("fast", "of")):
+    for profile, verb in (("balanced", "has MEs of"), ("fast", "of")):
         still, _, two, three, turned = me[profile]
         yield f"`{profile}` {verb} {still}, {two}, {three} and {turned} mm"
     still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
