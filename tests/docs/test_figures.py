@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PROFILES = ("accurate", "balanced", "fast")
 LIMITS_ORDER = ("fast", "balanced", "accurate")
-FAMILIES = {"as trained on": "tacshade", "another family": "other"}
+FAMILIES = {"training family": "tacshade", "other family": "other"}
 WORDS = ("none", "one", "two", "three", "four", "five")
 Claims = Iterable[str]
 """Sentences and lines; spaces and line ends count alike."""
@@ -88,19 +88,17 @@ def objects() -> Claims:
             rest = (page.cell(name, *mean) for name in ("SD %", "IoU", "depth off %", "worst %", "missed"))
             yield f"| {' | '.join((title, profile, *cells, *rest))} |"
     trained, other = of.values()
-    seen = {profile: trained.cell("beats Table I in ME and SD", profile) for profile in PROFILES}
-    assert set(seen.values()) == {"4 of 5"}, "the sentence on the objects of Table I has to be written anew"
-    yield "better in ME and SD on four of the five objects"
-    (count,) = {other.cell("beats Table I in ME and SD", profile)[0] for profile in PROFILES}
-    yield f"On the other family, they are also better on {WORDS[int(count)]} objects."
+    beats = {page.cell("beats Table I in ME and SD", profile) for page in of.values() for profile in PROFILES}
+    assert beats == {"4 of 5"}, "the sentence on the objects of Table I has to be written anew"
+    yield "On both families, `accurate`, `balanced` and `fast` have a better ME and SD than Table I on four of the five"
     frames = sum(int(page.cell("frames without contact", "accurate")) for page in of.values())
     assert all(page.cell("phantoms", profile) == "0" for page in of.values() for profile in PROFILES)
-    yield f"0 of {frames} frames without contact gave a false contact"
+    yield f"The learned profiles found no phantom in {frames} frames without contact."
     spans = []
     for page, prefix in ((trained, ""), (other, "other:")):
         single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9018, 9019, 9020)]
         spans.append(f"{rounded(min(single), 2)} to {rounded(max(single), 2)} mm")
-    yield f"of `accurate` per sensor is {spans[0]} on the trained family and {spans[1]} on the other."
+    yield f"mean ME with `accurate` is {spans[0]} on the training family and {spans[1]} on the other."
     table = ("mean", "Table I (real sensor)")
     yield f"has a mean ME of {trained.cell('ME mm', *table)} mm and an SD of {trained.cell('SD %', *table)} %"
     yield f"the ball, which has an SD of {trained.cell('SD %', 'ball', 'Table I (real sensor)')} % in Table I"
@@ -136,18 +134,18 @@ def drag() -> Claims:
     me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
     still, _, two, three, turned = me["accurate"]
     yield (
-        f"On the trained family, `accurate` has an ME of {still} mm without drag, {two} after 2 mm of drag, {three} "
-        f"after 3 mm and {turned} if also twisted by 10° and tilted by 15°"
+        f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, "
+        f"{three} mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
     )
-    for profile in ("balanced", "fast"):
+    for profile, verb in (("balanced", "has MEs of"), ("fast", "of")):
         still, _, two, three, turned = me[profile]
-        yield f"`{profile}` has {still}, {two}, {three} and {turned}"
+        yield f"`{profile}` {verb} {still}, {two}, {three} and {turned} mm"
     still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
-    yield f"`accurate` has {still}, {two}, {three} and {turned}."
+    yield f"`accurate` has MEs of {still}, {two}, {three} and {turned} mm in these cases."
     frames, refused = (
         sum(int(trained.cell(column, "all", profile)) for profile in PROFILES) for column in ("frames", "refused")
     )
-    yield f"Of {frames} frames on the trained family, {refused} were refused."
+    yield f"The profiles refused {refused} of {frames} frames on the training family."
 
 
 def shear_under_drag() -> Claims:
@@ -172,15 +170,15 @@ def no_presses() -> Claims:
     with_presses = Page("objects", "other").cell("ME mm", "mean", "balanced")
     mean = ("mean", "accurate")
     yield f"`accurate` has an ME of {trained.cell('ME mm', *mean)} mm and an SD of {trained.cell('SD %', *mean)} %"
-    yield f"on the other family {other.cell('ME mm', *mean)} mm and {other.cell('SD %', *mean)} %"
-    yield f"(`balanced` improves from {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
+    yield f"and {other.cell('ME mm', *mean)} mm and {other.cell('SD %', *mean)} % on the other."
+    yield f"(`balanced` improves from an ME of {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
 
 
 def other_objects() -> Claims:
     trained, other = (Page("other-objects", family) for family in FAMILIES.values())
-    yield f"the tip of a cone by {trained.cell('depth off %', 'cone', 'accurate')} % with `accurate`"
+    yield f"A cone's tip appears {trained.cell('depth off %', 'cone', 'accurate')} % too shallow with `accurate`"
     cones = [int(other.cell("depth off %", "cone", profile)) for profile in PROFILES]
-    yield f"on the other family by {min(cones)} to {max(cones)} %"
+    yield f"and {min(cones)} to {max(cones)} % too shallow on the other family"
     plates = [page.cell("missed", "plate", profile).split("/") for page in (trained, other) for profile in PROFILES]
     yield f"up to {max(int(missed) for missed, _ in plates)} of {plates[0][1]} presses"
 
@@ -197,35 +195,36 @@ def limits() -> Claims:
 
     total = page.cell("frames", "all of these", "fast")
     yield line(
-        f"phantoms in {total} frames without contact, with disturbances as in use",
+        f"phantoms in {total} frames without contact, under normal disturbances",
         (page.cell("phantoms", "all of these", profile) for profile in LIMITS_ORDER),
     )
     for title, what in (
-        ("least depth at which 90 % of presses are found, ball of radius 6 mm", "ball, radius 6 mm"),
-        ("the same, ball of radius 3 mm", "ball, radius 3 mm"),
+        ("least depth at which 90 % of ball presses are found (radius 6 mm)", "ball, radius 6 mm"),
+        ("least depth at which 90 % of ball presses are found (radius 3 mm)", "ball, radius 3 mm"),
     ):
         yield line(title, (least_depth(what, profile) for profile in LIMITS_ORDER))
-    for title, depth in (("mean error of the depth, ball 3 mm deep", 3), ("6 mm deep", 6), ("8 mm deep", 8)):
+    for title, depth in (("mean depth error with a ball pressed 3 mm deep", 3), ("6 mm deep", 6), ("8 mm deep", 8)):
         yield line(title, (page.cell(f"{depth} mm", "ball, mean", profile) for profile in LIMITS_ORDER))
     for title, what in (
-        ("least gap at which two bars are found as two objects, pitch 1.8 mm", "gap: two objects"),
+        ("least gap at which two bars are found as two objects (marker pitch 1.8 mm)", "gap: two objects"),
         (
-            "narrowest ridge whose height is measured to within 20 %, at a marker pitch of 1.8 mm",
+            "narrowest ridge whose height is measured to within 20 % (marker pitch 1.8 mm)",
             "ridge: height within 20 %",
         ),
     ):
         yield line(title, (page.cell("pitch 1.8", what, profile) for profile in LIMITS_ORDER))
     for title, what in (
-        ("change of a depth of 2 mm after the camera moved by 1 px, mean %", "moved by 1 px"),
-        ("the same under a spot of glare, mean %", "glare spot"),
+        ("change in a 2 mm depth after a camera shift of 1 px, mean %", "moved by 1 px"),
+        ("change in a 2 mm depth under a spot of glare, mean %", "glare spot"),
     ):
         yield line(title, (page.cell("mean %", what, profile) for profile in LIMITS_ORDER))
     dents, glare = (
         sum(int(page.cell("phantoms", what, profile)) for profile in PROFILES)
         for what in ("after a release", "glare spot")
     )
-    yield f"{WORDS[dents]} are dents just after a release"
-    yield f"{WORDS[glare]} comes from a spot of glare"
+    assert glare == 0
+    yield f"All {WORDS[dents]} phantoms are dents just after a release"
+    yield "spots of glare caused none"
     assert dents + glare == sum(int(page.cell("phantoms", "all of these", profile)) for profile in PROFILES)
 
 
@@ -264,7 +263,7 @@ def stages_in_numerics() -> Claims:
         for profile in ("balanced", "accurate")
     )
     yield (
-        f"Judging a frame costs {halved} times as much as a threshold and a box filter if the picture is "
+        f"Checking a frame for contact takes {halved} times as long as a threshold and a box filter if the image is "
         f"halved first, and {full} times at full resolution"
     )
 
@@ -273,7 +272,7 @@ def as_printed() -> Claims:
     page = Page("as-printed")
     paper, times = (rounded(page.cell(column, "paper"), 0) for column in ("p50 ms", "times balanced"))
     yield f"`paper` takes {paper} ms per frame, {times} times as long as `balanced` with shear and σ."
-    yield f"A literal implementation takes {rounded(page.cell('p50 ms', 'plain'), 0)} ms"
+    yield f"A literal implementation of the paper takes {rounded(page.cell('p50 ms', 'plain'), 0)} ms"
 
 
 def paper_in_the_settings() -> Claims:
@@ -292,9 +291,9 @@ def tradeoff() -> Claims:
     for profile in ("fast", "balanced"):
         quick, slow = (float(page.cells("p50 ms", profile, what)[0].split()[0]) for what in (shipped, whole))
         assert round(4 * (1 - quick / slow)) == 1
-    yield "Halving the image saves a quarter of the time of `fast` and `balanced`"
+    yield "Halving the image saves `fast` and `balanced` a quarter of their time"
     near, far = (float(page.cell("ME mm", "fast", what).split()[0]) for what in (whole, shipped))
-    yield f"and costs `fast` {rounded(far - near, 2)} mm"
+    yield f"and increases the ME of `fast` by {rounded(far - near, 2)} mm"
 
 
 def daemon() -> Claims:
@@ -306,9 +305,9 @@ def daemon() -> Claims:
     yield line("latency in contact, p50 ms", "p50 ms")
     yield line("latency in contact, p99 ms", "p99 ms")
     yield line("first map after start, s", "first map s")
-    yield line("CPU in contact, of a core", "CPU core")
-    yield line("CPU without contact, of a core", "CPU core", "free")
-    yield f"| CPU in contact, nobody listens | {page.cell('CPU core', 'unasked')} | |"
+    yield line("CPU in contact, cores", "CPU core")
+    yield line("CPU without contact, cores", "CPU core", "free")
+    yield f"| CPU in contact without subscribers, cores | {page.cell('CPU core', 'unasked')} | |"
     yield line("resident memory, MB", "resident MB")
 
 
@@ -370,7 +369,7 @@ def runtime() -> Claims:
         f"{page.cell('ONNX Runtime p50 ms', profile)}, {page.cell('integers p50 ms', profile)}"
         for profile in LIMITS_ORDER
     )
-    yield f"| the network, ms ([page](../results/runtime.md)) | {' | '.join(pairs)} |"
+    yield f"| network run time, ms ([page](../results/runtime.md)) | {' | '.join(pairs)} |"
 
 
 NETWORKS = (*LIMITS_ORDER, "shear")
@@ -380,14 +379,14 @@ def arm() -> Claims:
     page = Page("arm")
     fast, balanced, accurate = (page.cell("million instructions", profile, "contact") for profile in LIMITS_ORDER)
     yield (
-        f"A frame in contact takes {fast} (`fast`), {balanced} (`balanced`) and {accurate} (`accurate`) million "
-        "instructions on aarch64."
+        f"On aarch64, `fast`, `balanced` and `accurate` take {fast}, {balanced} and {accurate} million instructions "
+        "for a frame in contact."
     )
     off = {name: max(map(float, page.cells("h, mm at most", name))) for name in (*PROFILES, "paper")}
     network = max(off[name] for name in PROFILES)
     yield (
-        f"the heights of five frames are within {math.ceil(100 * network) / 100:.2f} mm of x86-64's, those of `paper` "
-        f"within {math.ceil(100 * off['paper']) / 100:.2f} mm, but not equal ([page](../results/arm.md))"
+        f"in five frames, its heights differ from x86-64's by at most {math.ceil(100 * network) / 100:.2f} mm, "
+        f"and with `paper` by at most {math.ceil(100 * off['paper']) / 100:.2f} mm ([page](../results/arm.md))"
     )
 
 
@@ -421,7 +420,8 @@ def arm_frame() -> Claims:
     boards = [page.cell(f"{board}, ms", *row) for board in ("Pi 5 (Cortex-A76, 2.4 GHz)", "Pi 4 (Cortex-A72, 1.8 GHz)")]
     yield (
         f"takes {page.cell('all', *row)} million instructions for a frame in contact, of which shear takes "
-        f"{page.cell('shear', *row)} million. The estimate is {boards[0]} ms on a Pi 5 and {boards[1]} ms on a Pi 4"
+        f"{page.cell('shear', *row)} million. The estimated frame time is {boards[0]} ms on a Pi 5 and {boards[1]} ms "
+        "on a Pi 4"
     )
 
 
@@ -474,14 +474,14 @@ def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
     assert back <= 3
-    yield "the daemon reconnects within 3 s of its return"
+    yield "the daemon reconnects within 3 s of the broker's return"
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
     yield "reported after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
-    yield "`degraded` within 4 s; streaming within 2 s of its return"
+    yield "`degraded` within 4 s; frames resume within 2 s of the camera's return"
     assert page.number("recovered s", "no calibration at the start") <= 2
     yield "uses a new calibration within 2 s"
 
