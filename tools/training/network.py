@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,20 +25,25 @@ COARSE_CELLS = 28
 """Along a side of the maps of shear and of what is untrusted."""
 
 
-SECOND_WIDTHS = (40, 56, 64)
-"""Channels of the levels of the second U of shear."""
+Widths = tuple[int, int]
+"""Channels after each of a block's two convolutions."""
 
 
-def block(inputs: int, outputs: int) -> nn.Sequential:
+def block(inputs: int, widths: Widths) -> nn.Sequential:
     """Two 3x3 convolutions."""
     layers: list[nn.Module] = []
-    for channels in (inputs, outputs):
+    for channels, outputs in pairwise((inputs, *widths)):
         layers += [
             nn.Conv2d(channels, outputs, 3, padding=1, bias=False),
             nn.BatchNorm2d(outputs),
             nn.ReLU(inplace=True),
         ]
     return nn.Sequential(*layers)
+
+
+def even(widths: Sequence[int]) -> tuple[list[Widths], list[Widths]]:
+    """Blocks down and up whose convolutions all have their level's width."""
+    return [(a, a) for a in widths], [(a, a) for a in widths[:-1]]
 
 
 class U(nn.Module):
@@ -46,11 +53,17 @@ class U(nn.Module):
     its width where it is small, and added: a quarter to a third less to compute.
     """
 
-    def __init__(self, inputs: int, widths: tuple[int, ...], added: bool) -> None:
+    def __init__(self, inputs: int, down: Sequence[Widths], up: Sequence[Widths], added: bool) -> None:
         super().__init__()
-        self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *widths[:-1]), widths, strict=True))
-        self.up = nn.ModuleList(block(a if added else a + b, a) for a, b in pairwise(widths))
-        self.narrow = nn.ModuleList(nn.Conv2d(b, a, 1, bias=False) for a, b in pairwise(widths) if added)
+        skipped = [widths[1] for widths in down]
+        below = [widths[1] for widths in (*up[1:], down[-1])]
+        self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *skipped[:-1]), down, strict=True))
+        self.up = nn.ModuleList(
+            block(a if added else a + b, o) for a, b, o in zip(skipped[:-1], below, up, strict=True)
+        )
+        self.narrow = nn.ModuleList(
+            nn.Conv2d(b, a, 1, bias=False) for a, b in zip(skipped[:-1], below, strict=True) if added
+        )
 
     def levels(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """What each level has on the way down and on the way up."""
@@ -73,23 +86,42 @@ class Net(U):
     and the log odds that a cell shows something else than this sensor's skin, (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 
-    def __init__(
-        self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False, cells: int = 112
-    ) -> None:
-        super().__init__(2 * fold * fold + KNOWN, widths, added)
+    def __init__(self, fold: int, down: Sequence[Widths], up: Sequence[Widths], added: bool, cells: int) -> None:
+        super().__init__(2 * fold * fold + KNOWN, down, up, added)
         self.fold = fold
-        self.head = nn.Conv2d(widths[0], 2 * fold * fold, 1)
+        self.head = nn.Conv2d(up[0][1], 2 * fold * fold, 1)
         cells //= fold
         self.coarse_level = max(0, (cells // COARSE_CELLS).bit_length() - 1)
         cells >>= self.coarse_level
         self.coarse_fold = COARSE_CELLS // cells
-        self.foreign_head = nn.Conv2d(2 * widths[self.coarse_level], self.coarse_fold**2, 1)
+        coarse = [widths[1] for widths in (*up, down[-1])][self.coarse_level] + down[self.coarse_level][1]
+        self.foreign_head = nn.Conv2d(coarse, self.coarse_fold**2, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Run it."""
         skips, risen = self.levels(x)
         coarse = torch.cat((risen[self.coarse_level], skips[self.coarse_level]), 1)
         return self.head(risen[0]), functional.pixel_shuffle(self.foreign_head(coarse), self.coarse_fold)
+
+
+@dataclass(frozen=True, slots=True)
+class ShearWidths:
+    """Widths of the network of shear: of the block at 56x56 cells, and of the blocks of both Us from 28x28 down."""
+
+    front: Widths
+    first_down: tuple[Widths, ...]
+    first_up: tuple[Widths, ...]
+    second_down: tuple[Widths, ...]
+    second_up: tuple[Widths, ...]
+
+
+SHEAR_WIDTHS = ShearWidths(
+    front=(16, 16),
+    first_down=((32, 32), (48, 48), (64, 64)),
+    first_up=((32, 32), (48, 48)),
+    second_down=((40, 40), (56, 56), (64, 64)),
+    second_up=((40, 40), (56, 56)),
+)
 
 
 class ShearNet(nn.Module):
@@ -101,17 +133,16 @@ class ShearNet(nn.Module):
     its own few channels.
     """
 
-    def __init__(
-        self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False, cells: int = 112
-    ) -> None:
+    fold = 2
+
+    def __init__(self, widths: ShearWidths = SHEAR_WIDTHS) -> None:
         super().__init__()
-        self.fold = fold
-        if cells // fold != 2 * COARSE_CELLS:
-            raise ValueError(f"{cells} cells folded by {fold}, expected {2 * COARSE_CELLS} after it")
-        self.down = nn.ModuleList([block(2 * fold * fold + KNOWN, widths[0])])
-        self.first = U(widths[0], widths[1:], added)
-        self.second = U(2 * widths[1], SECOND_WIDTHS, added=True)
-        self.head = nn.Conv2d(SECOND_WIDTHS[0], 2, 1)
+        self.down = nn.ModuleList([block(2 * self.fold**2 + KNOWN, widths.front)])
+        self.first = U(widths.front[1], widths.first_down, widths.first_up, added=False)
+        self.second = U(
+            widths.first_up[0][1] + widths.first_down[0][1], widths.second_down, widths.second_up, added=True
+        )
+        self.head = nn.Conv2d(widths.second_up[0][1], 2, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Run it."""
@@ -119,19 +150,41 @@ class ShearNet(nn.Module):
         return self.head(self.second.levels(torch.cat((risen[0], skips[0]), 1))[1][0])
 
 
-NETS: dict[str, type[Net] | type[ShearNet]] = {"depth": Net, "shear": ShearNet}
+NETS = ("depth", "shear")
 """What can be trained."""
+
+
+def make(net: str, fold: int, widths: Sequence[int], added: bool, cells: int) -> Net | ShearNet:
+    """One of `NETS`, with equal widths within each level; shear's has a shape of its own."""
+    return Net(fold, *even(widths), added, cells) if net == "depth" else ShearNet()
+
+
+def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
+    """Make a network of the shape of some weights, and give it these."""
+
+    def levels(way: str) -> tuple[Widths, ...]:
+        count = sum(name.startswith(f"{way}.") and name.endswith(".0.weight") for name in weights)
+        return tuple(tuple(len(weights[f"{way}.{k}.{place}.weight"]) for place in (0, 3)) for k in range(count))
+
+    if "first.down.0.0.weight" in weights:
+        ways = ("first.down", "first.up", "second.down", "second.up")
+        net: Net | ShearNet = ShearNet(ShearWidths(levels("down")[0], *map(levels, ways)))
+    else:
+        net = Net(fold, levels("down"), levels("up"), "narrow.0.weight" in weights, cells)
+    net.load_state_dict(weights)
+    return net
+
+
+def averaged(state: dict[str, Any]) -> dict[str, Tensor]:
+    """The averaged weights of a checkpoint."""
+    return {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
 
 
 def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
     """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True)
-    widths = tuple(int(width) for width in state["arguments"]["widths"].strip("()[]").split(","))
     arguments = state["arguments"]
-    made = NETS[arguments.get("net", "depth")]
-    net = made(int(arguments["fold"]), widths, arguments.get("added") == "True", int(arguments.get("cells", 112)))
-    net.load_state_dict({k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")})
-    return net.eval(), state
+    return like(averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))).eval(), state
 
 
 def grow(net: Net, narrow: dict[str, Tensor]) -> None:

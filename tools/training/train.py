@@ -24,13 +24,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tools.training.data import KINDS, Data, batch, load, shards_in
 from tools.training.loss import FIGURES, LOSSES, halved
-from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, grow
+from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, averaged, grow, like, make
 from tools.training.shipped import shipped
 from tools.training.torn import spoil
 
@@ -60,6 +60,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
+    parser.add_argument(
+        "--keep-norms",
+        action="store_true",
+        help="normalisations keep the statistics that they begin with; --start may then be of a pruned network",
+    )
     parser.add_argument("--shipped", metavar="NAME", help="the shipped weights of that name begin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
@@ -73,7 +78,7 @@ class Run:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
-        net = NETS[args.net](args.fold, tuple(args.widths), args.added, args.cells)
+        net = make(args.net, args.fold, args.widths, args.added, args.cells)
         self.shards: dict[str, list[Path]] = {}
         self.check: dict[str, Data] = {}
         self.data: dict[str, Data] = {}
@@ -81,8 +86,12 @@ class Run:
         self.take_in()
         self.checkpoint = args.out / "checkpoint.pt"
         self.step = 0
-        if not self.checkpoint.exists():
-            self._begin(net)
+        if self.checkpoint.exists():
+            net = like(averaged(torch.load(self.checkpoint, weights_only=True)), args.fold, args.cells)
+        else:
+            net = self._begin(net)
+        if args.keep_norms:
+            keep_norms(net)
         self.net = net.to(args.device, memory_format=torch.channels_last)
         self.mean = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
         self.optimiser = torch.optim.AdamW(self.net.parameters(), args.rate, weight_decay=1e-3)
@@ -106,19 +115,21 @@ class Run:
     def _load(self, paths: list[Path]) -> Data:
         return load(paths, self.args.fold, self.args.cells)
 
-    def _begin(self, net: Net | ShearNet) -> None:
-        """Give the network the weights that it begins with."""
+    def _begin(self, net: Net | ShearNet) -> Net | ShearNet:
+        """The network with the weights that it begins with; those of a pruned one bring their own shape."""
         if self.args.shipped:
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
             shipped(net, self.args.shipped, some)
         if self.args.start is None:
-            return
-        averaged = torch.load(self.args.start, weights_only=True, map_location="cpu")["mean"]
-        begun = {k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")}
+            return net
+        begun = averaged(torch.load(self.args.start, weights_only=True, map_location="cpu"))
+        if self.args.keep_norms:
+            return like(begun, self.args.fold, self.args.cells)
         if self.args.added and "narrow.0.weight" not in begun:
             begun = add_in_place_of_joining(begun)
         fresh = net.state_dict()
         grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
+        return net
 
     def batch(self, step: int) -> Batch:
         """White and what is known, height, contact, shear, and what is untrusted, of a step."""
@@ -196,6 +207,14 @@ class Run:
             if len(paths) >= len(self.shards.get(kind, ())) + more:
                 self.shards[kind] = paths
                 self._take(kind)
+
+
+def keep_norms(net: nn.Module) -> None:
+    """Let each normalisation keep its statistics: a batch's differ so much that a trained network would start anew."""
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.momentum = 0.0
+            module.eval()
 
 
 def _fits(old: Tensor, new: Tensor) -> bool:
