@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Write docs/results: every table by one command, with the commit and the machine at its top.
+"""Write docs/results: one command makes each page, which names the commit and the machine at its top.
 
 ::
 
-    .venv/bin/python -m tools.results --stale         # list what a change of the code has made stale, and why
-    .venv/bin/python -m tools.results --stale --make  # make just those again
+    .venv/bin/python -m tools.results --stale         # list the stale pages, and why they are stale
+    .venv/bin/python -m tools.results --stale --make  # make only those again
     .venv/bin/python -m tools.results objects limits  # make these
 
-A page is stale when it is not there, when the commit that it names is not in the history, or when what it depends on
-has changed since: its program, and the files and folders of `Page.depends_on`. A page is written when its command has
-ended, so what was interrupted goes on where it was. Pages of speed want a machine with nothing beside: one that had
-other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page says how much there was.
+A page is stale if it does not exist, if the commit that it names is not in the history, or if its program or a file or
+folder of `Page.depends_on` has changed since that commit. Each page is written as soon as its command ends, so after an
+interruption only the remaining pages are missing. Pages of speed need an otherwise idle machine: if other programs
+worked more than `OTHER_LOAD`, the page is not written, unless ``--busy`` allows it. Every page states this other work.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tacshade_edge.studies.evaluate.report import versions
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
 OTHER_LOAD = 0.1
-"""Most that anything else may have worked meanwhile, in cores, for a page of speed."""
+"""Most work of other programs in the meantime, in cores, with which a page of speed is written."""
 
 FIVE = ",".join(PAPER_OBJECTS)
 OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
@@ -51,9 +51,9 @@ FRAME = (
     *package("core/contact", "core/depth", "core/frame_check", "core/geometry", "core/image"),
     *package("core/profiles.py", "core/reconstruct.py", "inference"),
 )
-"""What turns an image into a result."""
+"""The code that turns an image into a result."""
 SENSORS = (*FRAME, *package("core/calibration", "simulator"), "tools/testbed/simulator")
-"""The same, and simulated sensors that are calibrated."""
+"""`FRAME`, and the code that simulates and calibrates sensors."""
 SCORED = (*SENSORS, *package("studies/evaluate"))
 STAGES = (*SENSORS, *package("studies/stage_times.py", "studies/evaluate/sensors.py"))
 DAEMON = (*FRAME, *package("daemon", "devices", "protocol", "storage"), "tools/testbed/daemon_rig.py")
@@ -68,17 +68,17 @@ class Page:
     Attributes
     ----------
     title, text : str
-        What it is; what its columns mean.
+        The heading, and an introduction that explains the columns.
     command : tuple of str
-        ``tacshade-edge`` and its arguments, or a module of tools and its own.
+        ``tacshade-edge`` or a module of tools, and its arguments.
     depends_on : tuple of str
-        Files and folders, relative to the tree, that its figures depend on, beside the program itself.
+        Files and folders, relative to the tree, on which the figures depend in addition to the program itself.
     idle : bool
-        It measures speed.
+        Whether the page measures speed and so needs an idle machine.
     drawn : tuple of str
         Pictures that the command writes with ``--out``.
     needs : str
-        A folder, relative to the tree, without which the page is passed over.
+        A folder, relative to the tree, without which the page is skipped.
     """
 
     title: str
@@ -497,32 +497,32 @@ only.""",
 
 
 def shown(command: Sequence[str]) -> str:
-    """The command as a person types it."""
+    """Write a command as a person types it."""
     program, *arguments = command
     return " ".join((program if program == "tacshade-edge" else f".venv/bin/python -m {program}", *arguments))
 
 
 def git(*words: str) -> str:
-    """What git prints."""
+    """Run git and return its output."""
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def commit() -> str:
-    """The last commit that changed code, and whether there is more that is not committed."""
+    """Name the last commit that changed code, and whether there are uncommitted changes."""
     code = ("--", ".", ":!docs", ":!*.md")
     changed = " and uncommitted changes" if git("status", "--porcelain", *code) else ""
     return git("log", "-1", "--format=%h of %cs", *code) + changed
 
 
 def machine() -> str:
-    """Processor, cores, kernel."""
+    """Describe the machine: processor, cores, kernel."""
     names = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     name = names[0] if names else "unnamed processor"
     return f"{name}, {len(os.sched_getaffinity(0))} cores, {platform.machine()}, Linux {platform.release()}"
 
 
 def worked_s() -> tuple[float, float]:
-    """Processor seconds of the whole machine, and those of this process's ended children."""
+    """Read the processor seconds of the whole machine, and those of this process's finished children."""
     user, nice, system, _idle, _wait, irq, softirq, *_ = map(int, Path("/proc/stat").read_text().split()[1:9])
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     ticks = user + nice + system + irq + softirq
@@ -530,7 +530,7 @@ def worked_s() -> tuple[float, float]:
 
 
 def write(name: str, page: Page, *, busy: bool) -> str:
-    """Run a page's command and write the page; what is wrong, or nothing."""
+    """Run a page's command and write the page; return a problem, or an empty string."""
     with tempfile.TemporaryDirectory() as out:
         program, *arguments = page.command
         module = "tacshade_edge" if program == "tacshade-edge" else program
@@ -546,7 +546,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
         took_s = time.monotonic() - start
         after = worked_s()
         wrong = f"{shown(page.command)}: exit code {done.returncode}" if done.returncode else ""
-        # A bench that misses its own bar has measured all the same.
+        # A benchmark that misses its own bar has still measured.
         if wrong and (done.returncode != 1 or "|" not in done.stdout):
             return wrong
         other = max(0.0, (after[0] - before[0]) - (after[1] - before[1])) / took_s
@@ -561,7 +561,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
             *([("verdict", "missed: exit code 1")] if wrong else []),
         )
         printed = done.stdout.strip()
-        for folder in (ROOT, tempfile.gettempdir()):  # where they lie is nobody's business
+        for folder in (ROOT, tempfile.gettempdir()):  # pages contain no absolute paths of this machine
             printed = printed.replace(f"{folder}/", "")
         lines = [f"# {page.title}", f"Written by `tools/results.py {name}`.", page.text]
         lines += ["\n".join(("| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in top)))]
@@ -575,7 +575,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 
 def index() -> None:
-    """Write the list of the pages that are there, of those that other commands write, and of those that are missing."""
+    """Write the lists of existing pages, of pages that other commands write, and of missing pages."""
     rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` |" for name in written()]
     others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in {*PAGES, "README"})
     for name in others:
@@ -599,17 +599,17 @@ def index() -> None:
 
 
 def is_there(name: str) -> bool:
-    """Whether a page is written."""
+    """Whether a page exists."""
     return (FOLDER / f"{name}.md").exists()
 
 
 def written() -> list[str]:
-    """The pages that are written, in the order of `PAGES`."""
+    """List the existing pages in the order of `PAGES`."""
     return [name for name in PAGES if is_there(name)]
 
 
 def named_commit(text: str) -> str:
-    """The commit that a page names, or nothing: also where it was made with changes that were not committed."""
+    """Find the commit that a page names; an empty string if it names none or was made with uncommitted changes."""
     found = re.search(r"^\| code \| ([0-9a-f]{7,40}) of \d{4}-\d\d-\d\d(?! and uncommitted)", text, re.MULTILINE)
     return found[1] if found else ""
 
@@ -621,7 +621,7 @@ def is_in_history(commit: str) -> bool:
 
 
 def why_stale(name: str, page: Page) -> str:
-    """Why a page must be made again; nothing where it holds."""
+    """Say why a page must be made again; an empty string if it is up to date."""
     if not is_there(name):
         return "is not written"
     made_of = named_commit((FOLDER / f"{name}.md").read_text(encoding="utf-8"))
@@ -636,7 +636,7 @@ def why_stale(name: str, page: Page) -> str:
 
 
 def depends_on(page: Page) -> tuple[str, ...]:
-    """Files and folders, relative to the tree, whose changes make a page stale."""
+    """List the files and folders, relative to the tree, whose changes make a page stale."""
     program = page.command[0]
     if program == "tacshade-edge":
         return page.depends_on
@@ -645,7 +645,7 @@ def depends_on(page: Page) -> tuple[str, ...]:
 
 
 def main() -> int:
-    """List or make pages."""
+    """List or make pages; exit code 1 if a page fails."""
     parser = argparse.ArgumentParser(description="Make the pages of docs/results, or list those that are stale.")
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="make these, stale or not")
     parser.add_argument("--stale", action="store_true", help="list the pages that are stale, and why")
