@@ -43,7 +43,7 @@ OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "shear": ["displacement"]}
 
 
 class PerSensor(nn.Module):
-    """Compute what the maps known for a sensor add to the first convolution."""
+    """Computes the part of the first convolution that depends only on a sensor's known maps."""
 
     def __init__(self, net: Net | ShearNet) -> None:
         super().__init__()

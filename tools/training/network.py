@@ -71,7 +71,7 @@ class Net(U):
     """The depth network, from folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
     The input holds the white of frame and reference, then the maps known for the sensor. The output holds 10 h / disc
-    radius, then contact logits; a second one holds the log odds that a cell does not show this sensor's skin,
+    radius, then contact logits; a second output holds the log odds that a cell does not show this sensor's skin,
     (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How much of the disc a network must see: compare the contact's surroundings alone with the whole disc.
+"""Measure how much of the disc a network must see: compare the contact's surroundings alone with the whole disc.
 
 ::
 

@@ -286,7 +286,7 @@ def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
 
 
 def within(disc: Disc, rows: F64, cols: F64) -> Bool:
-    """Which pixels lie in a circle."""
+    """Whether each pixel lies in a circle."""
     return np.asarray(np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px)
 
 

@@ -36,7 +36,7 @@ from tools.training.torn import spoil
 
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 4
-"""The run takes in new shards when there are this many."""
+"""The run loads new shards when at least this many exist."""
 TORN_PART = 0.12
 WARM_STEPS = 500
 

@@ -41,7 +41,7 @@ class Scene(Protocol):
 
 
 class Surface:
-    """A surface with waves 4 mm high and 80 mm long, up to 9° steep along x and 6° across, drawn as its tangent plane."""
+    """A surface with waves 4 mm high and 80 mm long, up to 9° steep along x and 6° across, drawn as a tangent plane."""
 
     start = shift(0, 0, MODEL.skin_radius_mm - 1.0) @ _DOWN
 

@@ -10,7 +10,7 @@ Under a constant load, u grows to u (1 + c (1 - exp(-t/τ))). After the load is 
 exp(-t/τ), from at most c / (1 + c) of the depth. Membrane and foundation of the skin are assumed to be the same solid.
 Then e is a shape without forces, and contact with the skin is elastic contact with a skin of this shape: the
 correspondence of Lee and Radok (J. Appl. Mech. 27, 1960), here for any history. Along the skin, u is an object's drag,
-whose displacement is given instead of its load; this causes a relative difference of c².
+of which the motion is given instead of the load; this causes a relative difference of c².
 """
 
 from __future__ import annotations
