@@ -35,7 +35,7 @@ from tacshade_edge.studies.evaluate.report import versions
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
 OTHER_LOAD = 0.1
-"""Most work of other programs in the meantime, in cores, with which a page of speed is written."""
+"""A page of speed is written only if other programs used at most this many cores on average."""
 
 FIVE = ",".join(PAPER_OBJECTS)
 OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
@@ -43,7 +43,7 @@ EVALUATE = "tools.studies.evaluate"
 
 
 def package(*paths: str) -> tuple[str, ...]:
-    """Files and folders of the package, relative to the tree."""
+    """Name files and folders of the package, relative to the tree."""
     return tuple(f"tacshade_edge/{path}" for path in paths)
 
 

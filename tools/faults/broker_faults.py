@@ -193,7 +193,7 @@ def same_id_elsewhere(cell: Cell) -> Seen:
 
 
 def never_reading(cell: Cell) -> Seen:
-    """A subscriber to everything that does not read."""
+    """A client subscribes to everything but reads nothing."""
     cell.serve()
     cell.start()
     before = cell.frames()

@@ -228,7 +228,7 @@ class Killed:
             if (folder / "session.json").exists():
                 self.kills.problems.append(f"session {name} was aborted and is there")
         elif not folder.exists():
-            # An abort that was done and not yet acknowledged: the new state.
+            # The abort was done but not yet acknowledged, so this is the new state.
             over = True
             if name in known.ended:
                 self.kills.problems.append(f"session {name} ended with {presses} presses and is gone")

@@ -90,7 +90,7 @@ def hostile_messages(cell: Cell) -> Seen:
             sensor.publish(f"status/p{number}", b'{"state": "x"}')
             other.publish(f"tacshade/invented{number}/state", b"online", 0)
         drawn_again(driver)
-        longest_ms = max(page(driver, "window.tasks") or [0])  # without the skin in 3-D, slow without an accelerator
+        longest_ms = max(page(driver, "window.tasks") or [0])  # before the 3-D skin, which is slow without an accelerator
         since_s = time.monotonic()
         sensor.publish_info("fast", profiles=("fast",))
         until_shown(driver, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
@@ -110,7 +110,7 @@ def drawn_again(driver: Chrome) -> None:
 
 
 def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
-    """A `height` with another grid and a right checksum."""
+    """Make a `height` message with another grid and a right checksum."""
     payload = bytes(2 * rows * cols)
     head = bytearray(sound[:96])
     struct.pack_into("<HH", head, 32, rows, cols)

@@ -155,7 +155,7 @@ class Cell:
         self.daemon.wait()
 
     def log(self, name: str = "log") -> str:
-        """Read the log of a daemon."""
+        """Read a log; by default, the one that the cell's daemons share."""
         path = self.folder / name
         return path.read_text(errors="replace") if path.exists() else ""
 
@@ -229,7 +229,7 @@ class Cell:
 
 
 class Proxy:
-    """A TCP line to the broker that can stall, as a network does, or be cut."""
+    """A TCP proxy in front of the broker, whose connections can stall, as in a network, or be cut."""
 
     def __init__(self, port: int) -> None:
         self._to = port
@@ -294,7 +294,7 @@ class Proxy:
 
 @contextlib.contextmanager
 def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
-    """A separate small file system, which only root can make."""
+    """Mount a separate small file system, which only root can do."""
     if os.getuid() != 0 or shutil.which("mount") is None:
         raise SkippedError("needs root: a small file system")
     at.mkdir(parents=True, exist_ok=True)

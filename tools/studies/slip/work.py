@@ -33,7 +33,7 @@ HELD_S = 600.0
 SETTLED_S = 1.0
 """How long an object rests after its drag before frames count, because the skin creeps."""
 RELEASED_S, AFTER_S = 600.0, 3.0
-"""Time seen after all releases together, and after each one, by the end of which the dent has recovered."""
+"""Total time that the study sees after releases, and time after each release, in which its dent recovers."""
 SOON_S, LATER_FPS = 0.2, 10
 """Time after a release in which the study sees every frame, and frames per second after that."""
 LIFT_MM_S = 20.0

@@ -4,7 +4,7 @@
 
     nice PYTHON -m tools.studies.third_family.mesh_check [--edges-mm 1.3,1.0] [--ways 3]
 
-PYTHON is one with MuJoCo (requirements.txt). Each mesh is compared with the finest on the skin's grid: heights and
+PYTHON must have MuJoCo (requirements.txt). Each mesh is compared with the finest on the skin's grid: heights and
 shears in the finest mesh's contact, and heights where its skirt is deeper than 0.1 mm.
 """
 

@@ -18,7 +18,7 @@ ROUNDING_MM = 0.2
 """The skin's points carry balls of this radius, and solids are smaller by it, so edges are as round as printed ones."""
 
 DEEPEST_PART = 0.45
-"""Depths reach this part of the thickness of skin and gel, and 4 mm; more compression does not suit the material."""
+"""Depths are at most this part of the thickness of skin and gel, and 4 mm; the material law allows no more."""
 
 PLATE_MM = 25.0
 """Radius of the plate."""

@@ -4,7 +4,7 @@
 
     nice PYTHON -m tools.studies.third_family.states --range working --sensors 6 --ways 6 --out FOLDER
 
-PYTHON is one with MuJoCo (requirements.txt). Existing files in FOLDER stay as they are.
+PYTHON must have MuJoCo (requirements.txt). Existing files in FOLDER stay as they are.
 """
 
 from __future__ import annotations
