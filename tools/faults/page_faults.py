@@ -90,7 +90,7 @@ def hostile_messages(cell: Cell) -> Seen:
             sensor.publish(f"status/p{number}", b'{"state": "x"}')
             other.publish(f"tacshade/invented{number}/state", b"online", 0)
         drawn_again(driver)
-        longest_ms = max(page(driver, "window.tasks") or [0])  # before the 3-D skin, which is slow without an accelerator
+        longest_ms = max(page(driver, "window.tasks") or [0])  # the 3-D skin is slow without an accelerator
         since_s = time.monotonic()
         sensor.publish_info("fast", profiles=("fast",))
         until_shown(driver, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
