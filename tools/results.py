@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Write docs/results: every table by one command, with the commit and the machine at its top.
+"""Write docs/results: one command makes each page, which names the commit and the machine at its top.
 
 ::
 
-    .venv/bin/python -m tools.results --stale         # list what a change of the code has made stale, and why
-    .venv/bin/python -m tools.results --stale --make  # make just those again
+    .venv/bin/python -m tools.results --stale         # list the stale pages, and why they are stale
+    .venv/bin/python -m tools.results --stale --make  # make only those again
     .venv/bin/python -m tools.results objects limits  # make these
 
-A page is stale when it is not there, when the commit that it names is not in the history, or when what it depends on
-has changed since: its program, and the files and folders of `Page.depends_on`. A page is written when its command has
-ended, so what was interrupted goes on where it was. Pages of speed want a machine with nothing beside: one that had
-other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page says how much there was.
+A page is stale if it does not exist, if the commit that it names is not in the history, or if its program or a file or
+folder of `Page.depends_on` has changed since that commit. Each page is written as soon as its command ends, so after an
+interruption only the remaining pages are missing. Pages of speed need an otherwise idle machine: if other programs
+worked more than `OTHER_LOAD`, the page is not written, unless ``--busy`` allows it. Every page states this other work.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tacshade_edge.studies.evaluate.report import versions
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
 OTHER_LOAD = 0.1
-"""Most that anything else may have worked meanwhile, in cores, for a page of speed."""
+"""A page of speed is written only if other programs used at most this many cores on average."""
 
 FIVE = ",".join(PAPER_OBJECTS)
 OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
@@ -43,7 +43,7 @@ EVALUATE = "tools.studies.evaluate"
 
 
 def package(*paths: str) -> tuple[str, ...]:
-    """Files and folders of the package, relative to the tree."""
+    """Name files and folders of the package, relative to the tree."""
     return tuple(f"tacshade_edge/{path}" for path in paths)
 
 
@@ -51,9 +51,9 @@ FRAME = (
     *package("core/contact", "core/depth", "core/frame_check", "core/geometry", "core/image"),
     *package("core/profiles.py", "core/reconstruct.py", "inference"),
 )
-"""What turns an image into a result."""
+"""The code that turns an image into a result."""
 SENSORS = (*FRAME, *package("core/calibration", "simulator"), "tools/testbed/simulator")
-"""The same, and simulated sensors that are calibrated."""
+"""`FRAME`, and the code that simulates and calibrates sensors."""
 SCORED = (*SENSORS, *package("studies/evaluate"))
 STAGES = (*SENSORS, *package("studies/stage_times.py", "studies/evaluate/sensors.py"))
 DAEMON = (*FRAME, *package("daemon", "devices", "protocol", "storage"), "tools/testbed/daemon_rig.py")
@@ -68,17 +68,17 @@ class Page:
     Attributes
     ----------
     title, text : str
-        What it is; what its columns mean.
+        The heading, and an introduction that explains the columns.
     command : tuple of str
-        ``tacshade-edge`` and its arguments, or a module of tools and its own.
+        ``tacshade-edge`` or a module of tools, and its arguments.
     depends_on : tuple of str
-        Files and folders, relative to the tree, that its figures depend on, beside the program itself.
+        Files and folders, relative to the tree, on which the figures depend in addition to the program itself.
     idle : bool
-        It measures speed.
+        Whether the page measures speed and so needs an idle machine.
     drawn : tuple of str
         Pictures that the command writes with ``--out``.
     needs : str
-        A folder, relative to the tree, without which the page is passed over.
+        A folder, relative to the tree, without which the page is skipped.
     """
 
     title: str
@@ -97,7 +97,7 @@ COLUMNS = """\
 the true points to the nearest found point. "SD" is eq. 14 with half the sum of both ("sum": with their sum), never
 clamped. "IoU" compares the found outline with skin within 0.02 mm of the object. "Depth off" is the error of the
 greatest depth, mean and worst. A missed contact counts as untouched skin: SD is 0, and ME and back are the true
-depth. The machine did other work meanwhile, so take milliseconds from [speed](../explanation/speed.md) instead."""
+depth. The machine also did other work, so take milliseconds from [speed](../explanation/speed.md) instead."""
 
 FOLLOWED = """\
 Depth, tilt and shear are compared with the labels by Spearman's rank correlation and by the mean absolute error
@@ -107,8 +107,8 @@ PAGES: dict[str, Page] = {
     "objects": Page(
         "The paper's five objects",
         f"""\
-The paper's Experiment 1 on six simulated sensors reserved for final figures: three from the family of the training
-and three from another (square lattice, mushroom pins, a skin with two decay lengths). Each sensor is calibrated on 8
+The paper's Experiment 1 runs on six simulated sensors reserved for final figures: three from the training family and
+three from another (square lattice, mushroom pins, a skin with two decay lengths). Each sensor is calibrated on 8
 references and 40 ball presses. Every object then presses it at 3 places, 1.5, 3 and 4.5 mm deep.
 
 {COLUMNS}""",
@@ -138,10 +138,10 @@ reference and no ball press.
     "drag": Page(
         "Objects that are dragged, twisted and tilted",
         """\
-Two simulated sensors of each family, reserved for final figures and calibrated on 8 references and 40 undragged ball
-presses. All thirteen objects press at four places, 1, 2.75 and 4.5 mm deep, and each is dragged in another direction
-(lengths on a skin of 20 mm). ME, SD and IoU are as for [the paper's five objects](objects.md). A "silently wrong"
-frame has a greatest depth that is off by a quarter and by 0.3 mm, but is neither refused nor marked saturated or
+Two simulated sensors of each family are reserved for final figures and calibrated on 8 references and 40 undragged
+ball presses. All thirteen objects press at four places, 1, 2.75 and 4.5 mm deep, and each is dragged in another
+direction (lengths on a skin of 20 mm). ME, SD and IoU are as for [the paper's five objects](objects.md). A "silently
+wrong" frame has a greatest depth that is off by a quarter and by 0.3 mm, but is neither refused nor marked saturated or
 degraded. "Shear off" is the error of a contact's mean shear. Direction errors cover contacts that moved by 0.5 mm or
 more; twist errors cover all contacts.""",
         ("tools.studies.drag", "--final"),
@@ -151,7 +151,7 @@ more; twist errors cover all contacts.""",
     "sigma": Page(
         "Whether the standard deviation of each height holds",
         """\
-Three simulated sensors of each family, reserved for final figures and calibrated on 8 references and 40 undragged
+Three simulated sensors of each family are reserved for final figures and calibrated on 8 references and 40 undragged
 ball presses. Four objects that `training.fit_sigma` did not use press at four places, 1, 2.75 and 4.5 mm deep,
 undragged and dragged by 2 mm (lengths on a skin of 20 mm). Only cells found in contact count; their 90 % interval is
 h ± 1.645 σ. The last two columns give the share of all absolute error in the tenth of the cells with the greatest σ,
@@ -163,8 +163,8 @@ and the largest share that any tenth has. The grey band in the plot is 85 to 95 
     "slip": Page(
         "Slips and releases over time",
         """\
-Sensors of the trained family at 60 frames a second. A report of a slip is in time from 50 ms before to 100 ms after
-the whole contact truly slides. Held objects were dragged by 1 mm and do not slide. After a release, the skin keeps a
+Sensors of the trained family take 60 frames a second. A slip report is in time from 50 ms before to 100 ms after the
+whole contact begins to slide. Held objects were dragged by 1 mm and do not slide. After a release, the skin keeps a
 dent that recovers; a phantom is a frame that still, or again, shows a contact.""",
         ("tools.studies.slip",),
         SCORED,
@@ -178,7 +178,7 @@ dent that recovers; a phantom is a frame that still, or again, shows a contact."
     "limits": Page(
         "Limits",
         """\
-Three simulated sensors, each calibrated on 8 references and 40 ball presses. Lengths are in mm for every skin radius
+Three simulated sensors are each calibrated on 8 references and 40 ball presses. Lengths are in mm for every skin radius
 (20.0, 25.9, 22.5 mm); depth is the skin's greatest h. A phantom is a frame that wrongly shows a contact; a silent
 one is not marked `degraded`.""",
         ("tools.studies.limits",),
@@ -188,7 +188,8 @@ one is not marked `degraded`.""",
     "ablation": Page(
         "Where the error comes from",
         """\
-Profile `accurate`, 8 references and 40 presses, the paper's five objects; each row removes one cause of error.
+The profile `accurate`, calibrated on 8 references and 40 presses, measures the paper's five objects, and each row
+removes one cause of error.
 "Perfect calibration" uses the true geometry and the factor that is best for the scored presses. "True gradient"
 integrates the true gradient from h = 0 at the rim.""",
         ("tools.studies.ablation",),
@@ -197,7 +198,7 @@ integrates the true gradient from h = 0 at the rim.""",
     "iterations": Page(
         "What the paper's 25 iterations buy",
         """\
-Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: it
+Three sensors measure the five objects near the tip at three depths. `paper_0` is the profile `paper` without eq. 11: it
 computes α times g_hn on the same maps.""",
         ("tools.studies.iterations",),
         SCORED,
@@ -227,8 +228,8 @@ robot reports exact poses or noisy ones. Figures are the RMS of height over all 
     "flange": Page(
         "Where the sensor sits on the flange",
         """\
-20 trials of `stitch --find-flange` on three drawn surfaces with waves and the touchpad, with five sensors reserved
-for final figures; two of them are unknown to the networks. Each trial starts 10 mm and 10° off and presses 100 times
+`stitch --find-flange` runs 20 trials on three drawn surfaces with waves and the touchpad, with five sensors reserved
+for final figures; the networks do not know two of these. Each trial starts 10 mm and 10° off and presses 100 times
 according to [the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. The
 robot's poses have Gaussian noise in every axis, and about a random axis through the apex.""",
         ("tools.studies.flange", "--final"),
@@ -237,9 +238,9 @@ robot's poses have Gaussian noise in every axis, and about a random axis through
     "margin": Page(
         "The margin before a slip",
         """\
-Sensors reserved for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s later.
-A slip counts as announced if the margin is at most 0.25 from 100 ms before its true onset on. Other objects are held
-at 30 to 45 % of the load that causes a slip and shaken by a quarter of their drag and 8 % of their depth, at 30
+The sensors are reserved for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s
+later. A slip counts as announced if the margin falls to 0.25 at least 100 ms before its true onset. Other objects are
+held at 30 to 45 % of the load that causes a slip and shaken by a quarter of their drag and 8 % of their depth, at 30
 frames a second. A false alarm begins whenever the margin falls to 0.25. "Still stuck" is the share of the contact
 that truly sticks at the alarm.""",
         ("tools.studies.margin", "--final", "--held", "120"),
@@ -266,9 +267,9 @@ sensors reserved for final figures.""",
     "real-raw": Page(
         "A real TacTip: whole pictures",
         f"""\
-Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its folder with other light. The sensor has
-an LED ring and white pins in the middle of the dome. The labels come from that project's own network. The study
-tries two free frames of each folder as the reference and uses the first that is accepted. {FOLLOWED}""",
+The frames are those of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing` without its folder with other light. The
+sensor has an LED ring and white pins in the middle of the dome. The labels come from that project's own network. The
+study tries two free frames of each folder as the reference and uses the first that is accepted. {FOLLOWED}""",
         ("tools.studies.real_frames", "raw", "out/real/aerial_tactile_servoing"),
         REAL,
         needs="out/real/aerial_tactile_servoing",
@@ -276,7 +277,7 @@ tries two free frames of each folder as the reference and uses the first that is
     "real-binary": Page(
         "A real TacTip: near-binary pictures",
         """\
-Frames of `marselap/tactip-cnn-bayes`, with few pins and almost only black and white. The data set does not state
+The frames of `marselap/tactip-cnn-bayes` show few pins and almost only black and white. The data set does not state
 which frames are free or how deep the others are. The picture closest to the mean of all serves as the reference.""",
         ("tools.studies.real_frames", "binary", "out/real/tactip-cnn-bayes"),
         REAL,
@@ -285,10 +286,10 @@ which frames are free or how deep the others are. The picture closest to the mea
     "touch": Page(
         "A touch as a few numbers, by labels",
         """\
-A touch model (`calibrate --labels`) on the thresholded frames of the robot `cr_tactip` in
+A touch model (`calibrate --labels`) learns from the thresholded frames of the robot `cr_tactip` in
 `dexterousrobot/tactile_data_shear`. Every frame counts; if the model has no answer, the labels' mean is the guess.
 `random` draws the labels from both runs of the robot and judges 1000 other frames. `grouped` learns from the first
-run and judges the second. Figures are means of four draws from 100 labels on; those from 4000 labels on have one
+run and judges the second. Figures are means of four draws of the labels; those with 4000 labels have one
 draw.""",
         ("tools.studies.touch", "out/real/tactile_data_shear"),
         REAL,
@@ -297,8 +298,8 @@ draw.""",
     "real-plates": Page(
         "A real TacTip: tilted and sheared plates",
         f"""\
-Thresholded frames of the robot `cr_tactip` in `dexterousrobot/tactile_data_shear`. No frame is free, so the least
-pressed serves as the reference. {FOLLOWED}""",
+The frames are thresholded ones of the robot `cr_tactip` in `dexterousrobot/tactile_data_shear`. No frame is free, so
+the least pressed one serves as the reference. {FOLLOWED}""",
         ("tools.studies.real_frames", "plates", "out/real/tactile_data_shear"),
         REAL,
         needs="out/real/tactile_data_shear",
@@ -306,18 +307,18 @@ pressed serves as the reference. {FOLLOWED}""",
     "calibration": Page(
         "What `calibrate` finds wrong",
         """\
-Random simulated sensors with 5 references and 24 presses each: reports on correct sets, and on sets with one
-mistake. For a re-zero, "said" counts correct answers, whether accepted or refused.""",
+`calibrate` reports on correct sets and on sets with one mistake, from random simulated sensors with 5 references and
+24 presses each. For a re-zero, "said" counts correct answers, whether accepted or refused.""",
         ("tools.studies.calibration", "--sensors", "30", "--detect", "16", "--first", "8400"),
         SENSORS,
     ),
     "fit": Page(
         "What `calibrate --fit` is worth",
         """\
-Simulated sensors of the other family and the default sensor, calibrated on 5 references and 40 presses up to 4.5 mm
+Simulated sensors of the other family and the default sensor are calibrated on 5 references and 40 presses up to 4.5 mm
 deep (balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: only balls) with errors in the stated
-values, and fitted to the same presses. The paper's five objects judge them at 3 places, 1.5, 3 and 4.5 mm deep, and
-at 6 mm, a third deeper than the deepest press. "Worst" is the worst object's mean. A fit that is no better on
+values, and fitted to the same presses. The paper's five objects judge the fits at 3 places, 1.5, 3 and 4.5 mm deep,
+and at 6 mm, a third deeper than the deepest press. "Worst" is the worst object's mean. A fit that is no better on
 held-out presses is dropped. ME, SD and IoU are as for [the paper's five objects](objects.md).""",
         ("tools.studies.fit", "--folder", "out/fit"),
         (*SCORED, *package("fitting")),
@@ -325,8 +326,9 @@ held-out presses is dropped. ME, SD and IoU are as for [the paper's five objects
     "stages": Page(
         "A frame, stage by stage",
         """\
-Grey 640x480 images in memory, one thread, a contact that covers a fifth of the disc. The floor is `cv2.threshold`
-plus `cv2.boxFilter` over the whole frame. Figures are milliseconds, medians of five alternating rounds.""",
+One thread reconstructs grey 640x480 images from memory, with a contact that covers a fifth of the disc. The floor is
+`cv2.threshold` plus `cv2.boxFilter` over the whole frame. Figures are milliseconds, medians of five alternating
+rounds.""",
         ("tools.benchmarks.stages",),
         STAGES,
         idle=True,
@@ -345,8 +347,8 @@ shows how good a profile is.""",
     "tradeoff": Page(
         "Speed against accuracy, setting by setting",
         """\
-Every profile, and variants that differ from it in one or two settings, on the same presses: two sensors, the paper's
-five objects at one of three places each, three depths. Brackets give the 95 % interval over presses or rounds
+Every profile, and variants that differ from it in one or two settings, measure the same presses: two sensors, the
+paper's five objects at one of three places each, three depths. Brackets give the 95 % interval over presses or rounds
 (bootstrap). p50 and p99 are the processor time of one thread for a frame in contact; "idle" is for a frame without
 contact; "MiB" is memory beyond a process with the libraries. A setting is on the front if no other is clearly better
 in ME or p50 without being clearly worse in the other. ME covers few presses and only compares settings; [the paper's
@@ -359,8 +361,9 @@ five objects](objects.md) shows how good a profile is.""",
     "cost": Page(
         "What the cost of a frame grows with",
         """\
-Contact area: balls 4 mm deep in the middle of the default sensor. Image size: one ball through cameras of 320x240 to
-1280x960. Objects: small balls around the tip. A line is fitted to each.""",
+The contact area varies with balls 4 mm deep in the middle of the default sensor, the image size with cameras of
+320x240 to 1280x960 that see one ball, and the number of objects with small balls around the tip. A line is fitted to
+each.""",
         ("tools.benchmarks.cost",),
         STAGES,
         idle=True,
@@ -369,10 +372,10 @@ Contact area: balls 4 mm deep in the middle of the default sensor. Image size: o
     "daemon": Page(
         "The daemon",
         """\
-640x480 at 60 frames a second from a ring of images in memory; mosquitto and a subscriber run in separate processes.
-For comparison, a null daemon publishes prepared bytes. Latency runs from the frame's time stamp to the decoded
-height map. `contact`: a ball goes in and out, and all topics have a subscriber; `free`: nothing touches; `unasked`:
-no topic has a subscriber.""",
+The daemon reads 640x480 at 60 frames a second from a ring of images in memory; mosquitto and a subscriber run in
+separate processes. For comparison, a null daemon publishes prepared bytes. Latency runs from the frame's time stamp to
+the decoded height map. In `contact`, a ball goes in and out, and all topics have a subscriber; in `free`, nothing
+touches; in `unasked`, no topic has a subscriber.""",
         ("tools.benchmarks.daemon", "--seconds", "60", "--runs", "2"),
         DAEMON,
         idle=True,
@@ -380,29 +383,29 @@ no topic has a subscriber.""",
     "recording": Page(
         "A recording beside the daemon",
         """\
-The row `contact` of [the daemon](daemon.md) with the profile `fast`: without a recording, with a pre-roll of 10 s
-(`recorder.pre_roll_s`), and while every frame is recorded as a folder and as MCAP.""",
+The rows repeat `contact` of [the daemon](daemon.md) with the profile `fast`: without a recording, with a pre-roll of
+10 s (`recorder.pre_roll_s`), and while every frame is recorded as a folder and as MCAP.""",
         ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
         DAEMON,
         idle=True,
     ),
     "memory": Page(
         "Memory of the daemon",
-        "The command `run` as the service runs it, with images instead of a camera; MB, from /proc.",
+        "The command `run` works as in the service, but on images instead of a camera. Memory is in MB, from /proc.",
         ("tools.benchmarks.memory",),
         DAEMON,
         idle=True,
     ),
     "runtime": Page(
         "ONNX Runtime beside OpenCV's DNN module",
-        "The shipped networks on one thread, in alternating rounds.",
+        "The shipped networks run on one thread, in alternating rounds.",
         ("tools.benchmarks.runtime",),
         (*package("inference"), "tools/benchmarks/stages.py"),
         idle=True,
     ),
     "runtime-counts": Page(
         "Instructions of the networks on a board's processor, emulated",
-        "One run with the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
+        "The networks run once, with the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
         ("tools.benchmarks.runtime_counts",),
         (
             *package("inference"),
@@ -415,27 +418,27 @@ The row `contact` of [the daemon](daemon.md) with the profile `fast`: without a 
     "arm": Page(
         "On a board's processor, emulated",
         """\
-QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of `systemd/requirements.lock`.
-"Other" compares with the same frames on the machine below. Instruction counts are exact. Times are estimated from
-them, with such processors' rates for scalar code that waits and for vector code, and are right within a factor of
-two. No board was measured.""",
+The program runs on QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of
+`systemd/requirements.lock`. "Other" compares with the same frames on the machine below. Instruction counts are exact.
+Times are estimated from these counts, with such processors' rates for scalar code that waits and for vector code, and
+are right within a factor of two. No board was measured.""",
         ("tools.ci.run_arm",),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/rig/arm64.py"),
     ),
     "arm-frame": Page(
         "Instructions of a frame on a board's processor, emulated",
         """\
-QEMU's model of a Pi 5's processor, Debian's Python 3.11, 640x480, a contact that covers a fifth of the disc. `gate`
-covers everything up to the contact gate (without contact: for a skin judged before), `depth` includes objects and
-cloud, `encode` all payloads, `publish` the broker's client. Instruction counts are exact; times are estimated from
-them, right within a factor of two, as on [the other page](arm.md).""",
+A 640x480 frame with a contact that covers a fifth of the disc runs on QEMU's model of a Pi 5's processor, with Debian's
+Python 3.11. `gate` covers everything up to the contact gate (without contact: for a skin judged before), `depth`
+includes objects and cloud, `encode` all payloads, `publish` the broker's client. Instruction counts are exact; times
+are estimated from these counts and right within a factor of two, as on [the other page](arm.md).""",
         ("tools.ci.run_arm", "--count-only"),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/ci/run_arm.py", "tools/rig/arm64.py"),
     ),
     "faults": Page(
         "Faults in real parts",
         """\
-Each row does one thing to a daemon at work, with a separate process, a real mosquitto, ptys and a small file system.
+Each row shows one fault of a working daemon, with a separate process, a real mosquitto, ptys and a small file system.
 "Detected" is the time in seconds from the fault to the daemon's report, "recovered" from the fault's end until the
 daemon works again. [Reliability](../explanation/reliability.md) states what the daemon promises.""",
         ("tools.faults", "table"),
@@ -444,10 +447,10 @@ daemon works again. [Reliability](../explanation/reliability.md) states what the
     "faults-damaged": Page(
         "Damaged inputs",
         """\
-Files with flipped bits, cuts, holes, words instead of numbers, and wrong content behind right checksums, read as the
-program reads them. "Told" is another value with a warning in the log. "Another valid value" is damage that no reader
-can notice, because the format has no checksum or a right checksum covers the damage; it never comes from damage to a
-checked file.""",
+The program's own code reads files with flipped bits, cuts, holes, words instead of numbers, and wrong content behind
+right checksums. "Told" counts other values with a warning in the log. "Another valid value" counts damage that no
+reader can notice, because the format has no checksum or a right checksum covers the damage; damage to a checked file
+never gives one.""",
         ("tools.faults", "damage"),
         FAULTS,
     ),
@@ -462,24 +465,24 @@ sees every file that the daemon opens for writing, and a subscriber sees everyth
     "faults-kills": Page(
         "kill -9 at random moments",
         """\
-One daemon after another works on the same files at the highest rate of requests. Each is killed 0 to 3 s after its
-first frame, and the next continues. After each kill, the test looks for everything that the daemon acknowledged.""",
+One daemon after another works on the same files at the highest request rate. Each is killed 0 to 3 s after its first
+frame, and the next continues. After each kill, the test looks for everything that the daemon acknowledged.""",
         ("tools.faults", "kills"),
         FAULTS,
     ),
     "faults-soak": Page(
         "A long run in which something is always wrong",
         """\
-60 images a second of 640x480, a broker that restarts once a minute, a subscriber that stalls, one recording after
-another, and a session that is filled until the map is full, ended, and started again.""",
+The daemon reads 60 images a second of 640x480. The broker restarts once a minute, a subscriber stalls, one recording
+follows another, and a session is filled until the map is full, ended, and started again.""",
         ("tools.faults", "soak", "--seconds", "3600"),
         FAULTS,
     ),
     "faults-soak-hand": Page(
         "A long run of a whole hand",
         """\
-Five fingers in one command at 10 images a second each, two of them pressed; both bridges with a scraper, a viewer,
-and a viewer that reads nothing; recordings in turn; a broker that restarts once a minute. The change of memory is
+One command runs five fingers at 10 images a second each, two of them pressed. Both bridges serve a scraper, a viewer,
+and a viewer that reads nothing; the fingers record in turn; the broker restarts once a minute. The memory change runs
 from the minimum of the first half after 900 s to the minimum of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
         FAULTS,
@@ -487,9 +490,9 @@ from the minimum of the first half after 900 s to the minimum of the second.""",
     "extras": Page(
         "What an installation brings",
         """\
-The wheels that pip takes for Python 3.13, with their licences: the plain installation of each distribution, and then
-the wheels that each extra adds. `fit` is PyTorch from PyPI, with CUDA; PyTorch's own index has a wheel for CPUs
-only.""",
+The page lists the wheels that pip takes for Python 3.13, with their licences: first the plain installation of each
+distribution, then the wheels that each extra adds. The `fit` extra takes PyTorch from PyPI, with CUDA; PyTorch's own
+index has a wheel only for CPUs.""",
         ("tools.release.extras",),
         ("pyproject.toml",),
     ),
@@ -497,32 +500,32 @@ only.""",
 
 
 def shown(command: Sequence[str]) -> str:
-    """The command as a person types it."""
+    """Write a command as a person types it."""
     program, *arguments = command
     return " ".join((program if program == "tacshade-edge" else f".venv/bin/python -m {program}", *arguments))
 
 
 def git(*words: str) -> str:
-    """What git prints."""
+    """Run git and return its output."""
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def commit() -> str:
-    """The last commit that changed code, and whether there is more that is not committed."""
+    """Name the last commit that changed code, and whether there are uncommitted changes."""
     code = ("--", ".", ":!docs", ":!*.md")
     changed = " and uncommitted changes" if git("status", "--porcelain", *code) else ""
     return git("log", "-1", "--format=%h of %cs", *code) + changed
 
 
 def machine() -> str:
-    """Processor, cores, kernel."""
+    """Describe the machine: processor, cores, kernel."""
     names = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     name = names[0] if names else "unnamed processor"
     return f"{name}, {len(os.sched_getaffinity(0))} cores, {platform.machine()}, Linux {platform.release()}"
 
 
 def worked_s() -> tuple[float, float]:
-    """Processor seconds of the whole machine, and those of this process's ended children."""
+    """Read the processor seconds of the whole machine, and those of this process's finished children."""
     user, nice, system, _idle, _wait, irq, softirq, *_ = map(int, Path("/proc/stat").read_text().split()[1:9])
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     ticks = user + nice + system + irq + softirq
@@ -530,7 +533,7 @@ def worked_s() -> tuple[float, float]:
 
 
 def write(name: str, page: Page, *, busy: bool) -> str:
-    """Run a page's command and write the page; what is wrong, or nothing."""
+    """Run a page's command and write the page; return a problem, or an empty string."""
     with tempfile.TemporaryDirectory() as out:
         program, *arguments = page.command
         module = "tacshade_edge" if program == "tacshade-edge" else program
@@ -546,7 +549,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
         took_s = time.monotonic() - start
         after = worked_s()
         wrong = f"{shown(page.command)}: exit code {done.returncode}" if done.returncode else ""
-        # A bench that misses its own bar has measured all the same.
+        # A benchmark that misses its own bar has still measured.
         if wrong and (done.returncode != 1 or "|" not in done.stdout):
             return wrong
         other = max(0.0, (after[0] - before[0]) - (after[1] - before[1])) / took_s
@@ -561,7 +564,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
             *([("verdict", "missed: exit code 1")] if wrong else []),
         )
         printed = done.stdout.strip()
-        for folder in (ROOT, tempfile.gettempdir()):  # where they lie is nobody's business
+        for folder in (ROOT, tempfile.gettempdir()):  # pages contain no absolute paths of this machine
             printed = printed.replace(f"{folder}/", "")
         lines = [f"# {page.title}", f"Written by `tools/results.py {name}`.", page.text]
         lines += ["\n".join(("| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in top)))]
@@ -575,7 +578,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 
 def index() -> None:
-    """Write the list of the pages that are there, of those that other commands write, and of those that are missing."""
+    """Write the lists of existing pages, of pages that other commands write, and of missing pages."""
     rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` |" for name in written()]
     others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in {*PAGES, "README"})
     for name in others:
@@ -599,17 +602,17 @@ def index() -> None:
 
 
 def is_there(name: str) -> bool:
-    """Whether a page is written."""
+    """Whether a page exists."""
     return (FOLDER / f"{name}.md").exists()
 
 
 def written() -> list[str]:
-    """The pages that are written, in the order of `PAGES`."""
+    """List the existing pages in the order of `PAGES`."""
     return [name for name in PAGES if is_there(name)]
 
 
 def named_commit(text: str) -> str:
-    """The commit that a page names, or nothing: also where it was made with changes that were not committed."""
+    """Find the commit that a page names; an empty string if it names none or was made with uncommitted changes."""
     found = re.search(r"^\| code \| ([0-9a-f]{7,40}) of \d{4}-\d\d-\d\d(?! and uncommitted)", text, re.MULTILINE)
     return found[1] if found else ""
 
@@ -621,7 +624,7 @@ def is_in_history(commit: str) -> bool:
 
 
 def why_stale(name: str, page: Page) -> str:
-    """Why a page must be made again; nothing where it holds."""
+    """Say why a page must be made again; an empty string if it is up to date."""
     if not is_there(name):
         return "is not written"
     made_of = named_commit((FOLDER / f"{name}.md").read_text(encoding="utf-8"))
@@ -636,7 +639,7 @@ def why_stale(name: str, page: Page) -> str:
 
 
 def depends_on(page: Page) -> tuple[str, ...]:
-    """Files and folders, relative to the tree, whose changes make a page stale."""
+    """List the files and folders, relative to the tree, whose changes make a page stale."""
     program = page.command[0]
     if program == "tacshade-edge":
         return page.depends_on
@@ -645,7 +648,7 @@ def depends_on(page: Page) -> tuple[str, ...]:
 
 
 def main() -> int:
-    """List or make pages."""
+    """List or make pages; exit code 1 if a page fails."""
     parser = argparse.ArgumentParser(description="Make the pages of docs/results, or list those that are stale.")
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="make these, stale or not")
     parser.add_argument("--stale", action="store_true", help="list the pages that are stale, and why")

@@ -10,8 +10,8 @@
     .venv/bin/python -m tools.faults soak [--seconds 3600]
     .venv/bin/python -m tools.faults soak-hand [--seconds 7200]
 
-Each prints a table and its problems, and exits with 1 if there are any. The seed and its number alone determine an
-input, request, line or kill: ``--first N --count 1`` repeats it. `reliability.md` lists the promises.
+Each command prints a table and any problems, and exits with 1 if there are problems. The seed and a number determine
+each input, request, line or kill: ``--first N --count 1`` repeats number N. `reliability.md` lists the promises.
 """
 
 from __future__ import annotations
@@ -104,12 +104,12 @@ def main() -> int:
     one = command("soak-hand", soaked_hand)
     one.add_argument("--seconds", type=float, default=7200.0)
     args = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # brokers and daemons end with it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that brokers and daemons end, too
     text, problems = args.run(args)
     print(text)
     if problems:
         print("\n```\n" + "\n".join(problems) + "\n```")
-        print("\n".join(problems), file=sys.stderr)  # so that they are seen when the table is discarded
+        print("\n".join(problems), file=sys.stderr)  # so that problems are visible when the table is discarded
     return 1 if problems else 0
 
 

@@ -1,6 +1,6 @@
-"""Attacks by a client of the broker, or by one that reaches a bridge's port, and their effect on all others.
+"""Attacks by a client of the broker or of a bridge's port, and their effect on all other clients.
 
-During each attack a real sensor publishes, and must remain visible.
+During each attack, a real sensor publishes and must remain visible.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ HUGE = "1" + "0" * 400
 
 
 def hostile_infos() -> Iterator[bytes]:
-    """Geometries that no sensor has."""
+    """Yield `info` messages with geometries that no sensor has."""
     from tools.testbed.published_sensor import calibration
 
     info = json.loads(messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration()))
@@ -54,7 +54,7 @@ def hostile_infos() -> Iterator[bytes]:
 
 
 def hostile_healths() -> Iterator[bytes]:
-    """Numbers, names and amounts that no daemon reports."""
+    """Yield `health` messages with numbers, names and amounts that no daemon reports."""
     told = json.loads(health())
     for key in ("uptime_s", "capture_fps", "source_dropped"):
         for value in (HUGE, "1e308", "1e999", "-1", "null", '"x"', "[]"):
@@ -66,14 +66,14 @@ def hostile_healths() -> Iterator[bytes]:
 
 
 def million_keys() -> bytes:
-    """A `health` of 17 MB."""
+    """Make a `health` message of 17 MB."""
     told = json.loads(health())
     return json.dumps({**told, "frames": {f"k{number}": number for number in range(1_000_000)}}).encode()
 
 
 @contextmanager
 def idle(port: int, count: int) -> Iterator[int]:
-    """Hold silent connections open; yield how many were not refused at once."""
+    """Hold silent connections open; yield how many were not refused immediately."""
     with contextlib.ExitStack() as opened:
         held = 0
         for _ in range(count):
@@ -113,7 +113,7 @@ TURNED_AWAY = Told("nowhere: a connection too many is closed")
 def metrics(
     cell: Cell, attack: Callable[[PublishedSensor, BridgeProcess], None], told: Told, *, first: bool = False
 ) -> Seen:
-    """Attack readers of metrics; `first`: before the real sensor and the bridge start."""
+    """Attack readers of metrics; with `first`, before the real sensor and the bridge start."""
     cell.serve()
     with contextlib.ExitStack() as opened:
         bad = opened.enter_context(PublishedSensor(cell.broker.port, "bad"))
@@ -133,7 +133,7 @@ def metrics(
 
 
 def judged(bridge: BridgeProcess, recovered_s: float, told: Told, more: str = "", *, sound: bool = True) -> Seen:
-    """Stop the bridge and check its memory."""
+    """Stop the bridge and check its memory, threads, stop time and log."""
     peak_mb, threads = bridge.peak_mb(), bridge.threads()
     stop_s = bridge.stopped_s()
     cost = f"{peak_mb:.0f} MB, {threads} threads, SIGTERM {stop_s:.1f} s{more}"
@@ -146,7 +146,7 @@ def judged(bridge: BridgeProcess, recovered_s: float, told: Told, more: str = ""
 
 
 def bad_healths(cell: Cell) -> Seen:
-    """Each kind of number that no daemon reports."""
+    """Publish each kind of number that no daemon reports."""
 
     def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         for payload in hostile_healths():
@@ -158,7 +158,7 @@ def bad_healths(cell: Cell) -> Seen:
 
 
 def bad_sizes(cell: Cell) -> Seen:
-    """A million keys, repeatedly."""
+    """Publish a million keys, repeatedly."""
 
     def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         payload = million_keys()
@@ -172,7 +172,7 @@ def bad_sizes(cell: Cell) -> Seen:
 
 
 def idle_readers(cell: Cell) -> Seen:
-    """Silent connections while somebody reads."""
+    """Open silent connections while another client reads."""
     with contextlib.ExitStack() as opened:
 
         def attack(_bad: PublishedSensor, bridge: BridgeProcess) -> None:
@@ -182,7 +182,7 @@ def idle_readers(cell: Cell) -> Seen:
 
 
 def invented(topics: Callable[[PublishedSensor], None]) -> Callable[[PublishedSensor, BridgeProcess], None]:
-    """An attack with many retained names of sensors that do not exist."""
+    """Make an attack with many retained names of sensors that do not exist."""
 
     def attack(bad: PublishedSensor, _bridge: BridgeProcess) -> None:
         for number in range(NAMES):
@@ -194,7 +194,7 @@ def invented(topics: Callable[[PublishedSensor], None]) -> Callable[[PublishedSe
 
 
 def invented_states(cell: Cell) -> Seen:
-    """Invented sensors that claim to be online."""
+    """Publish invented sensors that claim to be online."""
     return metrics(
         cell, invented(lambda bad: bad.publish("state", b"online", retain=True)), COUNTED_NO_ROOM, first=True
     )
@@ -204,7 +204,7 @@ def invented_states(cell: Cell) -> Seen:
 
 
 def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConnection, bool]:
-    """A viewer of the real sensor, and whether it learned of the sensor within 5 s."""
+    """Connect a viewer of the real sensor; also return whether it learned of the sensor within 5 s."""
     viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, max_queue=1, compression=None)
     ids: dict[str, int] = {}
     end_s = time.monotonic() + 5
@@ -239,7 +239,7 @@ def views(
     *,
     first: bool = False,
 ) -> Seen:
-    """Attack viewers."""
+    """Attack viewers; with `first`, before the real sensor and the bridge start."""
     cell.serve()
     with contextlib.ExitStack() as opened:
         bad = opened.enter_context(PublishedSensor(cell.broker.port, "bad"))
@@ -258,7 +258,7 @@ def views(
 
 
 def bad_infos(cell: Cell) -> Seen:
-    """Each geometry that no sensor has, while a viewer shows the skin; the last is retained."""
+    """Publish each geometry that no sensor has while a viewer shows the skin; the last one is retained."""
 
     def attack(bad: PublishedSensor, real: PublishedSensor, bridge: BridgeProcess) -> None:
         viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, compression=None)
@@ -281,7 +281,7 @@ def bad_infos(cell: Cell) -> Seen:
 
 
 def retained_infos(cell: Cell) -> Seen:
-    """Retained geometries when the bridge starts, with a viewer at once."""
+    """Publish retained geometries before the bridge starts, then connect a viewer immediately."""
 
     def attack(bad: PublishedSensor, _real: PublishedSensor, _bridge: BridgeProcess) -> None:
         for number, payload in enumerate(hostile_infos()):
@@ -293,7 +293,7 @@ def retained_infos(cell: Cell) -> Seen:
 
 
 def slow_viewers(cell: Cell) -> Seen:
-    """Viewers that subscribe to the largest height maps of the real sensor and read nothing."""
+    """Connect viewers that subscribe to the real sensor's largest height maps and read nothing."""
     with contextlib.ExitStack() as opened:
 
         def attack(_bad: PublishedSensor, real: PublishedSensor, bridge: BridgeProcess) -> None:
@@ -310,7 +310,7 @@ def slow_viewers(cell: Cell) -> Seen:
 
 
 def idle_viewers(cell: Cell) -> Seen:
-    """Silent connections."""
+    """Open silent connections."""
     with contextlib.ExitStack() as opened:
 
         def attack(_bad: PublishedSensor, _real: PublishedSensor, bridge: BridgeProcess) -> None:
@@ -320,7 +320,7 @@ def idle_viewers(cell: Cell) -> Seen:
 
 
 def invented_infos(cell: Cell) -> Seen:
-    """Invented sensors with an `info` that decodes."""
+    """Publish invented sensors with an `info` message that decodes."""
     info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=_missing())
 
     def attack(bad: PublishedSensor, _real: PublishedSensor, bridge: BridgeProcess) -> None:
@@ -358,7 +358,7 @@ print("ended", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, flush
 
 
 def listener(cell: Cell) -> Seen:
-    """Hostile messages of a sensor to a listener with the library."""
+    """Publish hostile messages to a listener that uses the library."""
     cell.serve()
     with PublishedSensor(cell.broker.port, REAL) as sensor:
         words = [sys.executable, "-c", _LISTENER, f"127.0.0.1:{cell.broker.port}"]
@@ -394,7 +394,7 @@ def listener(cell: Cell) -> Seen:
 
 
 def other_shapes() -> Iterator[tuple[str, bytes]]:
-    """`shear` and `sigma` on other grids than the `height` of their frame; invalid grids; the largest."""
+    """Yield `shear` and `sigma` on other grids than the `height` of their frame, then `height` on invalid grids."""
     from dataclasses import replace
 
     from tools.testbed.published_sensor import dragged, uncertain

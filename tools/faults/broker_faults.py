@@ -1,4 +1,4 @@
-"""The broker goes, stalls, refuses, or is shared."""
+"""Faults in which the broker disappears, stalls, refuses, or is shared."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def killed(cell: Cell) -> Seen:
 
 
 def absent(cell: Cell) -> Seen:
-    """The broker is absent at the start, for a while."""
+    """The broker is absent when the daemon starts, and for a while after that."""
     began_s = time.monotonic()
     cell.start(streams=False)
     detected_s = cell.told("Connection refused", began_s, 30)
@@ -42,7 +42,7 @@ def absent(cell: Cell) -> Seen:
 
 
 def stalled(cell: Cell) -> Seen:
-    """The broker reads and answers nothing for a while, and nobody closes the connection."""
+    """The broker neither reads nor answers for a while, but the connection stays open."""
     cell.serve()
     cell.start()
     before = cell.frames()
@@ -63,7 +63,7 @@ def stalled(cell: Cell) -> Seen:
 
 
 def network_stalls(cell: Cell) -> Seen:
-    """The line to the broker carries nothing for longer than the keepalive."""
+    """The connection to the broker carries nothing for longer than the keepalive time."""
     cell.serve()
     proxy = cell.enter(Proxy(cell.broker.port))
     cell.start(cell.settings(port=proxy.port))
@@ -127,7 +127,7 @@ def small_packets(cell: Cell) -> Seen:
 
 
 def denied(cell: Cell) -> Seen:
-    """The broker's access rules let this user write only elsewhere."""
+    """The broker's access rules let this user publish only on other topics."""
     rules = cell.folder / "acl"
     rules.write_text("topic read #\ntopic write tacshade/other/#\n")
     cell.serve(more=(f"acl_file {rules}",))
@@ -193,7 +193,7 @@ def same_id_elsewhere(cell: Cell) -> Seen:
 
 
 def never_reading(cell: Cell) -> Seen:
-    """A subscriber to everything that does not read."""
+    """A client subscribes to everything but reads nothing."""
     cell.serve()
     cell.start()
     before = cell.frames()

@@ -1,4 +1,4 @@
-"""`capture` is killed at each of its steps, by hand and with a printer; the next one continues in its folder."""
+"""`capture` is killed at each step, by hand and with a printer; the next `capture` continues in the same folder."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _kill(one: Person) -> None:
 
 
 def _whole(out: Path) -> tuple[int, int]:
-    """Counts of references and presses; checks that each row has its image and that `calibrate` can read every file."""
+    """Count references and presses, and check that each row has its image and that `calibrate` can read every file."""
     folder = CaptureFolder(out)
     if folder.sensor.exists():
         read_sensor(folder.sensor)
@@ -103,7 +103,7 @@ def killed_by_hand(cell: Cell) -> Seen:
 
 
 def _with_a_printer(cell: Cell) -> list[str]:
-    """The command's words except the port."""
+    """Make the command's arguments except the port."""
     out = cell.folder / "out"
     out.mkdir(exist_ok=True)
     (out / "SENSOR.yaml").write_text(SENSOR)
@@ -112,7 +112,7 @@ def _with_a_printer(cell: Cell) -> list[str]:
 
 
 def killed_with_a_printer(cell: Cell) -> Seen:
-    """Kill `capture` while the head moves: the next one homes the printer again and takes the press."""
+    """Kill `capture` while the head moves; the next `capture` homes the printer again and takes the press."""
     words, out = _with_a_printer(cell), cell.folder / "out"
     with FakePrinter(cell.folder / "hand.csv") as printer:
         with person(*words, printer.port) as one:
@@ -131,14 +131,14 @@ def killed_with_a_printer(cell: Cell) -> Seen:
 
 
 def printer_fails(fault: str, said: str) -> Callable[[Cell], Seen]:
-    """One of `support.fake_printer.Faults`, or a pulled cable, while the head goes to the skin."""
+    """Make a fault of `tools.testbed.fake_printer`, or pull the cable, while the head moves to the skin."""
 
     def fault_of(cell: Cell) -> Seen:
         words = _with_a_printer(cell)
         with FakePrinter(cell.folder / "hand.csv") as printer, person(*words, printer.port) as one:
             goes_to_the_skin(one)
             if fault == "loses_steps_below_mm":
-                one.hears("dry run")  # the places are known, and it is elsewhere from now on
+                one.hears("dry run")  # `capture` knows all places, and from now on the head is not where it should be
             since_s = time.monotonic()
             if fault == "cable":
                 printer.pull_the_cable()
@@ -159,7 +159,7 @@ def printer_fails(fault: str, said: str) -> Callable[[Cell], Seen]:
 
 
 def printer_hears_badly(cell: Cell) -> Seen:
-    """A line arrives damaged at the printer: `capture` sends it again, and the head continues."""
+    """A line reaches the printer damaged; `capture` sends it again, and the head continues."""
     words = _with_a_printer(cell)
     with FakePrinter(cell.folder / "hand.csv") as printer, person(*words, printer.port) as one:
         goes_to_the_skin(one)
@@ -177,7 +177,7 @@ def _answer_until_pressed(one: Person) -> None:
 
 
 def _deepest(printer: FakePrinter) -> float:
-    """The head's lowest height over the sensor, not where it was homed."""
+    """The head's lowest height over the sensor, away from the homing position."""
     return min(move[2] for move in printer.moves if move[0] > 50)
 
 

@@ -1,7 +1,8 @@
-"""Damaged inputs, fed in process: each number always gives the same input.
+"""Damaged inputs, read in this process; each number always gives the same input.
 
-What must hold for each: one of the program's three exceptions with one line, or a value; no more than `MEMORY_MAX_MB`
-for the whole process and `WAIT_MAX_S`; and, of a kind with a checksum, never another value without a warning.
+Each input must give a value, or one of the program's three exceptions with one line. It must take at most
+`MEMORY_MAX_MB` for the whole process and `WAIT_MAX_S`. A kind with a checksum must never give another value without a
+warning.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ WAIT_MAX_S = 5.0
 LINE_CHARS_MAX = 2000
 _HANGS_S = 60.0
 _ADDRESS_SPACE = 4 << 30
-"""Limit in bytes, so that an input that exhausts memory ends its process and not the machine."""
+"""Limit in bytes, so that an input that exhausts memory ends only its process."""
 _JUNK: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63), 2**64, 10**30),
     *(0.0, -0.0, 1e-300, 1e300, -1e300, math.nan, math.inf, -math.inf, 0.5, 45.0, 1e6),
@@ -66,17 +67,17 @@ class Outcome:
 
 
 def make_kinds() -> dict[str, Kind]:
-    """Every kind."""
+    """Make every kind of input."""
     return {**handed_in.make_kinds(), **mcap_kinds()}
 
 
 def junk(draw: random.Random) -> Any:
-    """A value of a wrong type or out of every range."""
+    """Draw a value with a wrong type or outside every range."""
     return draw.choice(_JUNK)
 
 
 def damaged(kind: Kind, draw: random.Random) -> tuple[Files, str]:
-    """The damaged files, and the kind of damage."""
+    """Damage files; also return the kind of damage."""
     if kind.sealed is not None and draw.random() < 0.4:
         return kind.sealed(draw, junk), "behind a right checksum"
     name = draw.choice(kind.damaged)
@@ -156,7 +157,7 @@ _WORDS_WAYS = (_other_word, _other_word, _other_word, _other_word, _other_line, 
 
 
 def read(kind: Kind, folder: Path) -> Read:
-    """The program's result for a folder."""
+    """Read a folder as the program does, and keep the result."""
     with warnings_kept() as warnings:
         try:
             found = Read(kind.read(folder))
@@ -167,7 +168,7 @@ def read(kind: Kind, folder: Path) -> Read:
 
 
 def judged(kind: Kind, good: Any, found: Read) -> tuple[str, str]:
-    """The outcome in a word, and the problem, if there is one."""
+    """Name the outcome, and the problem if there is one."""
     if found.error:
         wrong = "\n" in found.error or len(found.error) > LINE_CHARS_MAX
         return "refused", f"a line of {len(found.error)} characters" if wrong else ""
@@ -189,7 +190,7 @@ def write(folder: Path, files: Files) -> None:
 def run_numbers(
     numbers: Sequence[int], seed: int, keep: Path | None = None, current: Synchronized[int] | None = None
 ) -> Outcome:
-    """Feed the inputs of these numbers; `keep` gets those that are a problem."""
+    """Read the inputs with these numbers; copy those with a problem to `keep`."""
     kinds = make_kinds()
     outcome = Outcome()
     with TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None) as scratch:
@@ -208,7 +209,7 @@ def run_numbers(
             kind = kinds[name]
             changed, way = damaged(kind, draw)
             write(folder, kind.files | changed)
-            # Junk behind a right checksum is another value, and a right one: it must be usable, not the same.
+            # Junk behind a right checksum may give another value, which must be usable but need not be the same.
             judge = kind if way != "behind a right checksum" else Kind({}, (), kind.read)
             _one(outcome, (name, way), judge, good[name], folder, number)
             if keep is not None and outcome.problems and outcome.problems[-1].startswith(f"{number} "):
@@ -219,7 +220,7 @@ def run_numbers(
 
 
 def _one(outcome: Outcome, what: tuple[str, str], kind: Kind, good: Any, folder: Path, number: int) -> None:
-    Path("/proc/self/clear_refs").write_text("5")  # the highest resident size counts from here
+    Path("/proc/self/clear_refs").write_text("5")  # reset the peak of resident memory
     began_s = time.monotonic()
     problem = ""
     try:
@@ -239,7 +240,7 @@ def _one(outcome: Outcome, what: tuple[str, str], kind: Kind, good: Any, folder:
 
 
 def highest_mb() -> float:
-    """VmHWM of this process in MB."""
+    """Read this process's peak of resident memory (VmHWM) in MB."""
     line = next(one for one in Path("/proc/self/status").read_text().splitlines() if one.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 
@@ -248,7 +249,7 @@ BLOCK = 500
 
 
 def _block(first: int, count: int, seed: int, keep: Path | None, current: Synchronized[int], path: str) -> None:
-    """A process's: libraries tell damaged images on stderr, and what takes all memory must not take the machine's."""
+    """Run in a separate process without stderr, on which libraries report damaged images, and with limited memory."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     done = run_numbers(range(first, first + count), seed, keep, current)
@@ -257,7 +258,7 @@ def _block(first: int, count: int, seed: int, keep: Path | None, current: Synchr
 
 
 def run_apart(first: int, count: int, seed: int, keep: Path | None) -> Outcome:
-    """`run_numbers` in a process of its own: what ends it, or hangs, is one more problem, and the next follow."""
+    """Run `run_numbers` in a separate process; if it ends or hangs, count a problem and continue after that number."""
     context = multiprocessing.get_context("fork")
     whole = Outcome()
     at = first
@@ -280,7 +281,7 @@ def run_apart(first: int, count: int, seed: int, keep: Path | None) -> Outcome:
                 return whole
             if seen < at:
                 raise RuntimeError("no input was reached: run_numbers says why")
-            # What went well before it is fed again, so that it is counted.
+            # The earlier numbers went well, so they run again to be counted.
             whole.problems.append(f"{seen}: ended the process ({process.exitcode})")
             if seen > at:
                 whole.add(run_apart(at, seen - at, seed, keep))
@@ -291,7 +292,7 @@ def run_apart(first: int, count: int, seed: int, keep: Path | None) -> Outcome:
 
 
 def table(outcome: Outcome) -> str:
-    """A table with a row for each kind."""
+    """Write a table with a row for each kind."""
     ways = ("refused", "the same", "told", "another valid value", "crashed")
     rows = ["| input | fed | " + " | ".join(ways) + " |", "|---|" + "---:|" * (len(ways) + 1)]
     for kind in sorted({kind for kind, _ in outcome.counts}):

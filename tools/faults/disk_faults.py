@@ -79,7 +79,7 @@ def read_while_recording(cell: Cell) -> Seen:
 
 
 def full_at_begin(cell: Cell) -> Seen:
-    """No room for a session, then room; under the same name."""
+    """The disk has no room for a session, then it has room for one with the same name."""
     disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
     cell.serve()
     cell.start()
@@ -97,7 +97,7 @@ def full_at_begin(cell: Cell) -> Seen:
 
 
 def full_in_a_session(cell: Cell) -> Seen:
-    """No room for more presses, then room."""
+    """The disk has no room for more presses, then it has room again."""
     disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
     cell.serve()
     cell.start()
@@ -115,7 +115,7 @@ def full_in_a_session(cell: Cell) -> Seen:
 
 
 def session_deleted(cell: Cell) -> Seen:
-    """Somebody deletes the open session's folder."""
+    """A user deletes the open session's folder."""
     cell.serve()
     cell.start()
     cell.session("one")
@@ -129,7 +129,7 @@ def session_deleted(cell: Cell) -> Seen:
 
 
 def flipped_in_mcap(cell: Cell) -> Seen:
-    """Two bits of a recording whose daemon was killed: in its first chunk, and in the length of a later one."""
+    """Two bits flip in a recording whose daemon was killed: in its first chunk, and in a later chunk's length."""
     cell.serve()
     cell.start()
     assert cell.ask("record", action="start", seconds=600, name="r", format="mcap")["ok"]
@@ -147,14 +147,14 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     detected_s = cell.told("its writer died; the file now ends after the last whole record", began_s)
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))
-    assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is reported too
+    assert 2 <= len(told) <= 4, told  # a chunk may end inside a frame, which is reported, too
     assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
     lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
     return Seen(detected_s, None, lost, "log; `replay` names the bytes, exit code 1")
 
 
 def _frames_of(path: Path) -> tuple[int, list[str]]:
-    """The number of readable frames, and the reports."""
+    """Count the readable frames, and collect the reports."""
     recording, read = Recording(path), 0
     told: list[str] = []
     while True:

@@ -1,7 +1,7 @@
 """A long run of a whole hand: five fingers, both bridges, recordings in turn, and brokers that restart.
 
-Each finger is a process of its own on a ring of images drawn before. A scraper reads Prometheus' page, one viewer reads
-all that Foxglove's bridge offers, and another reads nothing, leaves without a word, and comes again.
+Each finger is a separate process, which reads a ring of images drawn in advance. A scraper reads Prometheus' page. One
+viewer reads everything that Foxglove's bridge offers; another reads nothing, disconnects without notice and reconnects.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ RECORD_S = 15.0
 SCRAPE_S = 5.0
 STALL_S = 20.0
 WARM_UP_S = 900.0
-"""Until allocators have what they keep: a quarter of a shorter run."""
+"""Time until allocators have taken the memory that they keep; at most a quarter of the run."""
 FLAT = 0.02
 SUBPROTOCOL = ["foxglove.sdk.v1"]
 
 
 @dataclass(slots=True)
 class Soaked:
-    """What was seen; memory by process, in MB at seconds."""
+    """The results of the run; `resident_mb` lists (time in s, memory in MB) for each process."""
 
     counts: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Soaked:
     took_s: float = 0.0
 
     def change(self, name: str) -> float:
-        """Of the least that a process held, from the first half after the warm-up to the second."""
+        """Relative change of a process's least memory, from the first half after the warm-up to the second."""
         warm_up_s = min(WARM_UP_S, self.took_s / 4)
         middle_s = (warm_up_s + self.took_s) / 2
         told = self.resident_mb[name]
@@ -66,7 +66,7 @@ class Soaked:
 
 
 def settings(folder: Path, port: int) -> Path:
-    """The hand's settings and its calibrations."""
+    """Write the hand's calibrations and settings; return the settings' path."""
     lines = [f"hand_id: {HAND_ID}", "profile: fast", f"mqtt: {{host: 127.0.0.1, port: {port}}}"]
     lines += ["recorder: {folder: recs}", "sensors:"]
     for k, name in enumerate(FINGERS):
@@ -79,7 +79,7 @@ def settings(folder: Path, port: int) -> Path:
 
 
 def hear(out: Soaked, seen: Subscriber, last_seq: dict[str, int]) -> None:
-    """Take in what has come."""
+    """Check and count the messages received since the last call."""
     messages, seen.messages[:] = list(seen.messages), []
     for message in messages:
         _, name, topic = message.topic.split("/", 2)
@@ -102,7 +102,7 @@ def hear(out: Soaked, seen: Subscriber, last_seq: dict[str, int]) -> None:
 
 
 def take_recording(out: Soaked, status: dict[str, Any]) -> None:
-    """Read a recording that is over again, and throw it away."""
+    """Read a finished recording and delete it."""
     folder = Path(status.get("folder") or "/nowhere")
     if status["state"] == "recording" or not folder.is_dir():
         return
@@ -117,7 +117,7 @@ def take_recording(out: Soaked, status: dict[str, Any]) -> None:
 
 
 def view(url: str, over: threading.Event, out: Soaked, *, reads: bool) -> None:
-    """Look at everything that the bridge offers; or ask for it and read nothing."""
+    """Subscribe to everything that the bridge offers, and read it only if `reads`."""
     who = "viewer" if reads else "viewer that reads nothing"
     while not over.is_set():
         with contextlib.suppress(OSError, WebSocketException), contextlib.ExitStack() as opened:
@@ -147,7 +147,7 @@ def view(url: str, over: threading.Event, out: Soaked, *, reads: bool) -> None:
 
 @contextlib.contextmanager
 def viewers(url: str, out: Soaked) -> Iterator[None]:
-    """One of each kind."""
+    """Run a viewer that reads and one that reads nothing."""
     over = threading.Event()
     threads = [threading.Thread(target=view, args=(url, over, out), kwargs={"reads": reads}) for reads in (True, False)]
     for thread in threads:
@@ -161,20 +161,20 @@ def viewers(url: str, out: Soaked) -> Iterator[None]:
 
 
 def family(pid: int) -> list[int]:
-    """A process and its children, in the order in which they began."""
+    """List a process and its children in the order in which they started."""
     found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
     return [pid, *sorted(map(int, found.split()))]
 
 
 def scrape(out: Soaked, bridge: BridgeProcess) -> set[str]:
-    """The fingers that Prometheus' page calls up."""
+    """Read Prometheus' page; return the fingers that it reports as up."""
     page = bridge.page()
     out.counts["pages of metrics"] += 1
     return set(re.findall(r'tacshade_up\{sensor="(\w+)"\} 1\.0', page))
 
 
 def run(seconds: float, *, progress: bool = False) -> Soaked:
-    """Soak so long."""
+    """Run the hand for `seconds`."""
     out = Soaked()
     with TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
@@ -219,7 +219,7 @@ def _play(
     bridges: dict[str, BridgeProcess],
     progress: bool,
 ) -> None:
-    """Restart brokers, record in turn, scrape, and look at memory, until the time is over."""
+    """Restart brokers, record fingers in turn, scrape, and measure memory until the time is over."""
     began_s, last_seq = time.monotonic(), dict[str, int]()
     next_s = {"restart": RESTART_S, "memory": 10.0, "progress": 60.0, "record": 5.0, "scrape": 10.0}
     down_since_s: float | None = None
@@ -264,7 +264,7 @@ def _play(
         threading.Event().wait(0.05)
     if down_since_s is not None:
         broker.start()
-    threading.Event().wait(15.0)  # for all to be back
+    threading.Event().wait(15.0)  # so that all clients reconnect
     out.took_s = time.monotonic() - began_s
 
 
@@ -288,7 +288,7 @@ def _judge(out: Soaked) -> None:
 
 
 def table(out: Soaked) -> str:
-    """What was done, and what came of it."""
+    """Write a table of what was done and what resulted."""
     rows = ["| what | |", "|---|---:|", f"| seconds | {out.took_s:.0f} |"]
     rows += [f"| {what} | {count} |" for what, count in sorted(out.counts.items()) if count]
     outcomes = Counter[str]()

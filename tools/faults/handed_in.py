@@ -1,4 +1,4 @@
-"""What can be handed in damaged: one good example of every kind of file, and the program's own way to read it."""
+"""The inputs to damage: a good example of every kind of file, and the program's own way to read it."""
 
 from __future__ import annotations
 
@@ -60,16 +60,17 @@ class Kind:
     Attributes
     ----------
     files : mapping of str to bytes
-        A good example, below a folder.
+        A good example: content by path below a folder.
     damaged : tuple of str
-        Those of them that are damaged, one at a time.
+        The files that may be damaged, one at a time.
     read : callable
-        ``read(folder)``: what the program makes of it, comparable; or one of its three exceptions.
+        ``read(folder)`` returns a comparable value as the program reads it, or raises one of its three exceptions.
     checked : bool
-        It has a checksum: damage never gives another value without a warning.
+        Whether it has a checksum, so that damage never gives another value without a warning.
     sealed : callable or None
-        ``sealed(draw, junk)``: the same with wrong content behind right checksums, by name of the file.
+        ``sealed(draw, junk)`` returns files with wrong content behind right checksums.
     text : bool
+        Whether the files are text.
     """
 
     files: Files
@@ -81,20 +82,20 @@ class Kind:
 
 
 class Warnings(logging.Handler):
-    """Counts what is told in the log."""
+    """Keeps the warnings of the log."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.lines: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a line."""
+        """Keep a record's text."""
         self.lines.append(record.getMessage())
 
 
 @contextmanager
 def warnings_kept() -> Iterator[Warnings]:
-    """Instead of writing them."""
+    """Keep the log's warnings instead of writing them."""
     handler, logger = Warnings(), logging.getLogger("tacshade_edge")
     logger.addHandler(handler)
     logger.propagate = False
@@ -106,7 +107,7 @@ def warnings_kept() -> Iterator[Warnings]:
 
 
 def make_kinds() -> dict[str, Kind]:
-    """Every kind."""
+    """Make every kind of input except MCAP."""
     with TemporaryDirectory() as folder:
         root = Path(folder)
         kinds = {**_calibrations(root), **_texts(), **_pictures(), "session": _session(root)}
@@ -114,7 +115,7 @@ def make_kinds() -> dict[str, Kind]:
 
 
 def bytes_of(value: Any) -> int:
-    """CRC-32 of an array, for comparison."""
+    """Compute the CRC-32 of an array, for comparison."""
     return zlib.crc32(np.ascontiguousarray(value).tobytes(), zlib.crc32(str(value.shape).encode()))
 
 
@@ -122,7 +123,7 @@ def _inside(folder: Path) -> Files:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-# Calibrations and what is stored beside them.
+# Calibrations and stored references.
 
 
 def _calibrations(root: Path) -> dict[str, Kind]:
@@ -167,7 +168,7 @@ _USED: set[int] = set()
 
 
 def _use(calibration: Calibration) -> None:
-    """Take a frame with it, as the daemon would, once for each."""
+    """Reconstruct a frame with a calibration as the daemon would, once for each calibration."""
     if calibration.crc32 in _USED:
         return
     _USED.add(calibration.crc32)
@@ -195,7 +196,7 @@ def _sealed_npz(name: str, content: Content, draw: random.Random, junk: Junk) ->
 
 
 def _inner(draw: random.Random, value: Any, junk: Junk) -> Any:
-    """A value with something wrong somewhere in it."""
+    """Replace a part of a value, at any depth, with junk."""
     if isinstance(value, dict) and value:
         key = draw.choice(list(value))
         return {**value, key: _inner(draw, value[key], junk)}
@@ -212,7 +213,7 @@ def _other_array(draw: random.Random) -> Any:
 
 
 def _other_values(draw: random.Random, array: Any) -> Any:
-    """As many and of the same kind: references, images of presses, weights of a fitted network."""
+    """Replace the values of an array, such as references, images of presses or weights, with as many others."""
     factor = draw.choice((0, -1, 1e3, 1e10, 1e30, np.nan, np.inf))
     with np.errstate(all="ignore"):
         return (
@@ -222,7 +223,7 @@ def _other_values(draw: random.Random, array: Any) -> Any:
         )
 
 
-# What a person types, and tables.
+# Files that a person writes, and tables.
 
 _POSE_ROW = "1,2,3,0.6,0,-0.8,0"
 _TEXTS: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
@@ -309,7 +310,7 @@ def _read_picture(name: str, folder: Path) -> Any:
 
 
 def _sealed_png(data: bytes, draw: random.Random, _junk: Junk) -> Files:
-    """Other sizes and depths behind a right checksum of the first chunk."""
+    """Make a PNG with other sizes and bit depths, and a right checksum of its first chunk."""
     sides = (0, 1, 119, 161, 8192, 8193, 30_000, 2**31 - 1, 2**32 - 1)
     head = struct.pack(">4s2I5B", b"IHDR", draw.choice(sides), draw.choice(sides), *draw.choices(range(17), k=5))
     return {"a.png": data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]}
@@ -329,7 +330,7 @@ def _session(root: Path) -> Kind:
 
 
 def _read_session(folder: Path) -> Any:
-    """Through the daemon's own resuming, which makes the map, too."""
+    """Read a session as the daemon resumes it, which also makes the map."""
     if open_session(folder, SENSOR_ID) is None:
         return None
     _, presses = StitchFile.resume(folder / "one")
@@ -374,13 +375,13 @@ def _read_recording(folder: Path) -> Any:
     recording = Recording(folder / "rec")
     read: list[Any] = []
     if recording.damage:
-        _log.warning("%s", recording.damage)  # a line of `replay` and `export`
+        _log.warning("%s", recording.damage)  # `replay` and `export` print this line
     while True:
         try:
             if (recorded := recording.read()) is None:
                 return read
         except DecodeError as error:
-            _log.warning("frame passed over: %s", error)  # as `failed` of the daemon's frames
+            _log.warning("frame passed over: %s", error)  # the daemon counts such a frame as `failed`
             continue
         frame = recorded.frame
         read.append((frame.t_ns, bytes_of(frame.image), frame.pose))
@@ -388,7 +389,7 @@ def _read_recording(folder: Path) -> Any:
 
 @dataclass(slots=True)
 class Read:
-    """How one input went: the value, or the error; and what was told."""
+    """The result of reading one input: the value or the error, and the warnings."""
 
     value: Any = None
     error: str = ""

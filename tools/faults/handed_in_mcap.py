@@ -1,4 +1,4 @@
-"""MCAP that can be handed in: what our recorder writes, and what others pack into a few bytes."""
+"""MCAP inputs to damage: files from our recorder, and files of others that expand enormously."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _ATTACHMENT = 9
 
 
 def mcap_kinds() -> dict[str, Kind]:
-    """A recording of ours, whole and cut off; and bombs and numbers behind right checksums."""
+    """Make the kinds: our recording, complete and cut off, with bombs and odd numbers behind right checksums."""
     with TemporaryDirectory() as folder:
         whole, cut_off = _recorded(Path(folder) / "rec")
     own = Kind({_NAME: whole}, (_NAME,), partial(_read, _NAME), checked=True, sealed=partial(_sealed, whole))
@@ -58,7 +58,7 @@ def _recorded(folder: Path) -> tuple[bytes, bytes]:
 
 
 def _read(name: str, folder: Path) -> Any:
-    """As `replay` and `export` do, whose lines are warnings here."""
+    """Read a recording as `replay` and `export` do, whose lines become warnings here."""
     recording, read = Recording(folder / name), []
     for line in (recording.damage, "it was cut off" if recording.cut_off and not name.endswith(".part") else ""):
         if line:
@@ -83,7 +83,7 @@ def _sealed(whole: bytes, draw: random.Random, junk: Junk) -> Files:
 
 
 def _told_otherwise(_whole: bytes, draw: random.Random, junk: Junk) -> bytes:
-    """Something else in what our channel of frames says of a picture."""
+    """Make a recording whose frame channel contains a wrong value for one picture."""
     stream = io.BytesIO()
     writer = McapWriter(stream, "left", chunk_bytes=1 << 12)
     for seq in range(3):
@@ -100,7 +100,7 @@ def _told_otherwise(_whole: bytes, draw: random.Random, junk: Junk) -> bytes:
 
 
 def _packed(_whole: bytes, draw: random.Random, _junk: Junk) -> bytes:
-    """Up to 250 MiB of messages, or of one, in a few kB; in the data, in the summary, many times."""
+    """Pack up to 250 MiB of messages, or one such message, into a few kB of data (up to 40 times) or summary."""
     one = draw.choice((message(b"", 5), message(b"", 5), message(bytes(1000), 5)))
     block = one * (_BLOCK_BYTES // len(one))
     blocks = draw.choice(_BLOCKS)
@@ -127,7 +127,7 @@ def _packed(_whole: bytes, draw: random.Random, _junk: Junk) -> bytes:
 
 
 def _inner_length(whole: bytes, draw: random.Random, _junk: Junk) -> bytes:
-    """One bit of a length inside a record, or of where the summary begins."""
+    """Flip one bit of a length inside a record, or of the summary's position."""
     starts = record_starts(whole)
     at = draw.choice([start for start in starts if whole[start] in (CHUNK, _ATTACHMENT)])
     body, bit = at + 9, draw.choice((draw.randrange(33, 64), draw.randrange(64)))

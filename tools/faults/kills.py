@@ -1,7 +1,7 @@
-"""kill -9 at random moments: nothing that was acknowledged is lost, and what is found is always the old or the new.
+"""kill -9 at random moments: nothing acknowledged is lost, and every file has either its old or its new state.
 
-One daemon after the other works on the same files, records, takes presses, renews its reference and reloads its
-settings, until it is killed; `tacshade-edge calibrate` is killed while it makes a calibration anew.
+One daemon after another works on the same files: it records, takes presses, renews its reference and reloads its
+settings until it is killed. `tacshade-edge calibrate` is killed while it makes a new calibration.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ COMMAND = (sys.executable, "-m", "tacshade_edge")
 
 @dataclass(slots=True)
 class Acknowledged:
-    """What the daemons have acknowledged."""
+    """The work that the daemons have acknowledged."""
 
     presses: dict[str, int] = field(default_factory=dict)
     ended: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class Acknowledged:
     finished: dict[str, int] = field(default_factory=dict)
     reference_crc32: int | None = None
     reference_asked: bool = False
-    """Since the last one that was acknowledged."""
+    """Whether a reference was requested after the last acknowledged one."""
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class Kills:
 
 
 class Killed:
-    """The files of as many daemons as are killed, and what they have acknowledged; `kills` gets what was wrong."""
+    """The files that all killed daemons share, and the work that they acknowledged; problems go to `kills`."""
 
     def __init__(self, folder: Path, broker: Broker, seen: Subscriber, kills: Kills) -> None:
         self.folder = folder
@@ -88,7 +88,7 @@ class Killed:
         calibration_file.save(folder / "c.npz", painted_calibration())
 
     def one(self, draw: random.Random, longest_s: float) -> None:
-        """Start a daemon, let it work at most `longest_s`, kill it, and check what is left."""
+        """Start a daemon, let it work for at most `longest_s`, kill it, and check its files."""
         self._seen.messages.clear()
         self._told = 0
         began_s = time.monotonic()
@@ -112,7 +112,7 @@ class Killed:
         finally:
             child.kill()
             child.wait()
-        threading.Event().wait(0.2)  # what it had sent is still on its way through the broker
+        threading.Event().wait(0.2)  # the broker still delivers the daemon's last messages
         self._hear()
         self._look()
 
@@ -129,7 +129,7 @@ class Killed:
         return json.loads(payloads[-1]) if payloads else None
 
     def _started(self, log: Path) -> None:
-        """What the new daemon says of itself."""
+        """Check what the new daemon reports about itself."""
         info = self._latest("info")
         crc32, known = info["geometry"]["calibration_crc32"], self.known
         original = calibration_file.load(self.folder / "c.npz").crc32
@@ -228,7 +228,7 @@ class Killed:
             if (folder / "session.json").exists():
                 self.kills.problems.append(f"session {name} was aborted and is there")
         elif not folder.exists():
-            # An abort that was done and not yet acknowledged: the new state.
+            # The abort was done but not yet acknowledged, so this is the new state.
             over = True
             if name in known.ended:
                 self.kills.problems.append(f"session {name} ended with {presses} presses and is gone")
@@ -269,7 +269,7 @@ class Killed:
 
 
 def run_daemons(count: int, seed: int, kills: Kills, longest_s: float = LONGEST_S) -> None:
-    """Kill so many, at most so long after the first frame."""
+    """Kill `count` daemons, each at most `longest_s` after its first frame."""
     with TemporaryDirectory() as name, Broker(Path(name)) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         folder = Path(name) / "daemon"
         folder.mkdir()
@@ -281,7 +281,7 @@ def run_daemons(count: int, seed: int, kills: Kills, longest_s: float = LONGEST_
 
 
 def run_calibrations(count: int, seed: int, kills: Kills) -> None:
-    """Kill so many `calibrate`s over a calibration that is there, from the start to just after their end."""
+    """Kill `count` runs of `calibrate` over an existing calibration, from their start to just after their end."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         for k, image in enumerate(references(HALF, 4)):
@@ -300,7 +300,7 @@ def run_calibrations(count: int, seed: int, kills: Kills) -> None:
         for number in range(count):
             draw = random.Random(f"{seed}:calibrate:{number}")
             child = _calibrate(folder, draw.choice((("r0.png", "r1.png"), ("r2.png", "r3.png"))))
-            # Half of them about the end, where the file is written.
+            # Half of the kills come near the end, when `calibrate` writes the file.
             longest_s = min(took_s)
             late = draw.random() < 0.5
             threading.Event().wait(draw.uniform(0.7 if late else 0.0, 1.1) * longest_s)
@@ -324,7 +324,7 @@ def _calibrate(folder: Path, images: tuple[str, ...]) -> subprocess.Popen[bytes]
 
 
 def table(kills: Kills) -> str:
-    """What was done at the moment of the kill, and what was acknowledged before."""
+    """Write a table of the work at the moment of the kill and of the acknowledged work."""
     restarts = sorted(kills.restart_s) or [0.0]
     rows = ["| killed while the latest was | kills |", "|---|---:|"]
     rows += [f"| {what} | {count} |" for what, count in sorted(kills.doing.items())]

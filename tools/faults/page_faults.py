@@ -1,4 +1,4 @@
-"""The page in a real browser, while somebody publishes messages meant to freeze it or crash its scripts."""
+"""The page in a real browser while a client publishes messages meant to freeze it or crash its scripts."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ TEXTS: tuple[tuple[str, object], ...] = (
 
 
 def hostile_messages(cell: Cell) -> Seen:
-    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, next to a sound sensor."""
+    """Publish each of `TEXTS` and `GRIDS`, many parts and many sensors, next to a sound sensor."""
     if CHROMIUM is None or DRIVER is None:
         raise SkippedError("needs Chromium and its driver")
     cell.broker.start()
@@ -90,7 +90,7 @@ def hostile_messages(cell: Cell) -> Seen:
             sensor.publish(f"status/p{number}", b'{"state": "x"}')
             other.publish(f"tacshade/invented{number}/state", b"online", 0)
         drawn_again(driver)
-        longest_ms = max(page(driver, "window.tasks") or [0])  # without the skin in 3-D, slow without an accelerator
+        longest_ms = max(page(driver, "window.tasks") or [0])  # the 3-D skin is slow without an accelerator
         since_s = time.monotonic()
         sensor.publish_info("fast", profiles=("fast",))
         until_shown(driver, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
@@ -110,7 +110,7 @@ def drawn_again(driver: Chrome) -> None:
 
 
 def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
-    """A `height` with another grid and a right checksum."""
+    """Make a `height` message with another grid and a right checksum."""
     payload = bytes(2 * rows * cols)
     head = bytearray(sound[:96])
     struct.pack_into("<HH", head, 32, rows, cols)
@@ -121,7 +121,7 @@ def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
 
 
 def who_may_not(cell: Cell) -> Seen:
-    """Unknown paths, other sites' pages and guessed tokens; the token itself opens the page first."""
+    """Try unknown paths, other sites' pages and guessed tokens, after the right token has opened the page."""
     cell.broker.start()
     token_file = cell.folder / "token"
     with dashboard(f"127.0.0.1:{cell.broker.port}", "--token-file", str(token_file)) as address:
@@ -145,7 +145,7 @@ def who_may_not(cell: Cell) -> Seen:
 
 
 def status_of(port: int, path: str, token: str) -> int:
-    """The status of the page's server for a verbatim path."""
+    """Request a verbatim path from the page's server and return the status code."""
     with contextlib.closing(HTTPConnection("127.0.0.1", port, timeout=30)) as connection:
         connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
         return connection.getresponse().status

@@ -101,7 +101,7 @@ def clock_steps(cell: Cell) -> Seen:
 
 
 def stopped_early(cell: Cell) -> Seen:
-    """SIGTERM at several moments of the start."""
+    """The daemon gets SIGTERM at several moments of its start."""
     path = cell.settings()
     codes = []
     for after_s in (0.05, 0.3, 0.6, 0.9, 1.2, 1.8):
@@ -109,13 +109,13 @@ def stopped_early(cell: Cell) -> Seen:
         pause(after_s)
         process.send_signal(signal.SIGTERM)
         codes.append(ended(process))
-    # Before the program's first line the kernel ends it, which systemd takes as clean.
+    # Before the program's first line, the kernel ends the process, and systemd counts this as a clean exit.
     assert set(codes) <= {0, -signal.SIGTERM}, codes
     return Seen(None, None, "nothing", f"exit codes {', '.join(map(str, codes))}")
 
 
 def little_memory(cell: Cell) -> Seen:
-    """`ulimit -v` of 500 MB."""
+    """The daemon runs under a `ulimit -v` of 500 MB."""
     limit = 500 << 20
     began_s = time.monotonic()
     process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
@@ -151,7 +151,7 @@ def shared_folder(cell: Cell) -> Seen:
 
 
 def one_of_several(cell: Cell) -> Path:
-    """Write settings in the form for several sensors: a supervisor, and a process for this sensor."""
+    """Write settings in the form for several sensors, which gives a supervisor and a process for this sensor."""
     path = cell.folder / "several.yaml"
     path.write_text(
         "profile: fast\nsensors:\n"
@@ -163,14 +163,14 @@ def one_of_several(cell: Cell) -> Path:
 
 
 def part_of(cell: Cell) -> int:
-    """The id of the one sensor's process."""
+    """Find the process id of the only sensor."""
     assert cell.daemon is not None
     found = subprocess.run(("pgrep", "-P", str(cell.daemon.pid)), capture_output=True, check=True)
     return int(found.stdout)
 
 
 def part_stopped(cell: Cell) -> Seen:
-    """SIGTERM to the process of one sensor."""
+    """One sensor's process gets SIGTERM."""
     cell.serve()
     cell.start(one_of_several(cell))
     since_s = cell.mark()
@@ -180,7 +180,7 @@ def part_stopped(cell: Cell) -> Seen:
 
 
 def part_left(cell: Cell) -> Seen:
-    """SIGKILL to the supervisor of a sensor that SIGSTOP has stopped."""
+    """The supervisor gets SIGKILL while SIGSTOP holds its sensor's process."""
     cell.serve()
     cell.start(one_of_several(cell))
     part = part_of(cell)
@@ -197,7 +197,7 @@ def part_left(cell: Cell) -> Seen:
 
 
 def few_files(cell: Cell) -> Seen:
-    """`ulimit -n` of 12."""
+    """The daemon runs under a `ulimit -n` of 12."""
     began_s = time.monotonic()
     process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (12, 12)))
     assert ended(process, 30) == 78, cell.log()[-300:]

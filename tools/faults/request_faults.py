@@ -35,7 +35,7 @@ def reply_topic(cell: Cell) -> Seen:
 
 
 def flood(cell: Cell) -> Seen:
-    """As many requests as a client can send."""
+    """A client sends as many requests as it can."""
     cell.serve()
     cell.start()
     since_s = cell.mark()
@@ -43,7 +43,7 @@ def flood(cell: Cell) -> Seen:
         cell.seen.publish(f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0)
     answered_s = 0.0
     while not answered_s:
-        # Few answers may wait for the broker: one may be left out.
+        # Only a few answers may wait for the broker, so one may be missing.
         cell.seen.publish(f"{BASE}/req/status", b"{}")
         pause(0.1)
         if any(b'"ok":true' in answer for answer in cell.seen.of(f"{BASE}/res/status")):

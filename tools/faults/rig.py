@@ -1,4 +1,4 @@
-"""The target of the faults: a daemon process on cheap frames, its broker, its log and its messages."""
+"""The target of the faults: a daemon process with cheap frames, its broker, its log and its messages."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
 
 FREE_FRAMES, TOUCHED_FRAMES = 32, 32
-"""At 60 a second: a contact comes to rest (0.3 s), and between two of them a reference can be taken."""
+"""At 60 frames a second, a contact comes to rest (0.3 s), and a reference fits between two contacts."""
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 COMMAND = (sys.executable, "-m", "tacshade_edge")
 
 
 def write_posed_images(folder: Path) -> None:
-    """Write frames of an untouched and a touched skin, each with the pose of another place."""
+    """Write frames of an untouched and a touched skin, all with the same pose."""
     folder.mkdir(parents=True)
     cv2.imwrite(str(folder / "free.png"), FREE)
     cv2.imwrite(str(folder / "touched.png"), TOUCHED)
@@ -66,7 +66,7 @@ class Seen:
 
 
 class SkippedError(Exception):
-    """A fault that cannot be produced here, and why."""
+    """The fault cannot be produced here; the message says why."""
 
 
 class Cell:
@@ -75,7 +75,7 @@ class Cell:
     Parameters
     ----------
     folder : Path
-        Its images, calibration, recordings and sessions.
+        Folder for images, calibration, recordings and sessions.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -105,7 +105,7 @@ class Cell:
         return self._closing.enter_context(manager)
 
     def serve(self, **options: Any) -> None:
-        """Start the broker and listen; `options` are those of `Broker`."""
+        """Start the broker, with options for `Broker`, and subscribe to its messages."""
         if options:
             self.broker = Broker(self.folder, **options)
             self.seen = Subscriber(self.broker.port, f"{BASE}/#")
@@ -143,7 +143,7 @@ class Cell:
         before: Callable[[], None] | None = None,
         environment: dict[str, str] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """Start a daemon; `environment` is added to this process's own."""
+        """Start a daemon; `environment` is added to this process's environment."""
         words, around = [*COMMAND, "run", "--config", str(path)], {**os.environ, **(environment or {})}
         with (self.folder / log).open("a") as stream:
             return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=around)
@@ -155,12 +155,12 @@ class Cell:
         self.daemon.wait()
 
     def log(self, name: str = "log") -> str:
-        """The log of all daemons."""
+        """Read a log; by default, the one that the cell's daemons share."""
         path = self.folder / name
         return path.read_text(errors="replace") if path.exists() else ""
 
     def new_log(self) -> str:
-        """The log since `mark`."""
+        """Read the log since `mark`."""
         return self.log()[self._mark :]
 
     def mark(self) -> float:
@@ -175,7 +175,7 @@ class Cell:
         return time.monotonic() - since_s
 
     def until(self, condition: Callable[[], object], seconds: float, what: str) -> None:
-        """Poll until the condition holds; fail at once if the daemon has ended."""
+        """Poll until the condition holds; fail immediately if the daemon has ended."""
 
         def holds() -> object:
             assert self.daemon is None or self.daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
@@ -184,7 +184,7 @@ class Cell:
         wait_until(holds, seconds, what)
 
     def last(self, topic: str) -> Any:
-        """A topic's latest message, decoded from JSON; empty without one."""
+        """Decode a topic's latest JSON message; an empty object if there is none."""
         payloads = self.seen.of(f"{BASE}/{topic}")
         return json.loads(payloads[-1]) if payloads else {}
 
@@ -200,7 +200,7 @@ class Cell:
         return time.monotonic() - since_s
 
     def frames(self) -> dict[str, int]:
-        """The frame counts of the next health message, which must add up."""
+        """Read the frame counts of the next health message, which must add up."""
         before = len(self.seen.of(f"{BASE}/health"))
         self.until(lambda: len(self.seen.of(f"{BASE}/health")) > before, 10, "health")
         frames: dict[str, int] = self.last("health")["frames"]
@@ -229,7 +229,7 @@ class Cell:
 
 
 class Proxy:
-    """A TCP line to the broker that can stall, as a network does, or be cut."""
+    """A TCP proxy in front of the broker, whose connections can stall, as in a network, or be cut."""
 
     def __init__(self, port: int) -> None:
         self._to = port
@@ -294,7 +294,7 @@ class Proxy:
 
 @contextlib.contextmanager
 def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
-    """A separate small file system, which only root can make."""
+    """Mount a separate small file system, which only root can do."""
     if os.getuid() != 0 or shutil.which("mount") is None:
         raise SkippedError("needs root: a small file system")
     at.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,8 @@
 """A long run in which something is always wrong: is memory flat, and is every frame accounted for?
 
-60 images a second of 640x480 that were drawn before; a broker that is restarted every `RESTART_S`; a subscriber that
-reads nothing for `STALL_S`, again and again; recordings one after the other; a robot whose session is filled until the
-map takes no more, ended, and begun anew.
+The daemon reads 60 images a second of 640x480, drawn in advance. The broker restarts every `RESTART_S`, a subscriber
+repeatedly reads nothing for `STALL_S`, one recording follows another, and a robot fills one session after another until
+its map is full.
 """
 
 from __future__ import annotations
@@ -39,39 +39,39 @@ RECORD_S = 15.0
 ADD_S = 0.25
 PLACE_S, PLACES, PLACE_MM = 0.25, 21, 48.0
 WARM_UP_S = 900.0
-"""Until sessions were filled and ended some times, and the allocator has what it keeps: a quarter of a shorter run."""
+"""Time until some sessions have ended and the allocator has taken the memory it keeps; at most a quarter of the run."""
 FLAT = 0.02
 BASE = "tacshade/finger"
 
 
 def place(at_s: float) -> PoseValues:
-    """Where the robot is: one place of a square after the other, further apart than a press is wide."""
+    """The robot's pose at a time: it visits the places of a square, which are further apart than a press is wide."""
     number = int(at_s / PLACE_S)
     return (number % PLACES * PLACE_MM, number // PLACES % PLACES * PLACE_MM, 60.0, 0.0, 1.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
 class Soaked:
-    """What was seen."""
+    """The results of the run."""
 
     counts: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
     resident_mb: list[tuple[float, float]] = field(default_factory=list)
     cycles: list[tuple[float, float]] = field(default_factory=list)
-    """Of sessions, from the beginning to the end."""
+    """Begin and end of each session, in s."""
     last: dict[str, Any] = field(default_factory=dict)
     took_s: float = 0.0
 
     @property
     def warm_up_s(self) -> float:
-        """What does not count."""
+        """The time at the beginning that does not count."""
         return min(WARM_UP_S, self.took_s / 4)
 
     @property
     def change(self) -> float:
-        """Of the least that it held, from the first half after the warm-up to the second.
+        """Relative change of the daemon's least memory, from the first half after the warm-up to the second.
 
-        A session's map and its rasters come and go; what stays when they are gone is what a leak would add to.
+        A session's map and rasters come and go; a leak would add to the memory that remains without them.
         """
         middle_s = (self.warm_up_s + self.took_s) / 2
         first = [mb for at_s, mb in self.resident_mb if self.warm_up_s < at_s <= middle_s]
@@ -80,7 +80,7 @@ class Soaked:
 
 
 class Soak:
-    """The daemon and its partners."""
+    """The daemon and the programs that work with it."""
 
     def __init__(self, folder: Path, broker: Broker, seen: Subscriber, pid: int) -> None:
         self.out = Soaked()
@@ -130,7 +130,7 @@ class Soak:
         self.out.took_s = time.monotonic() - self._began_s
 
     def settle(self) -> None:
-        """Take the last health after the stop."""
+        """Take the last health message after the daemon's stop."""
         self._hear(time.monotonic() - self._began_s)
 
     def _ask(self, verb: str, body: dict[str, Any]) -> None:
@@ -215,7 +215,7 @@ class Soak:
 
 @contextlib.contextmanager
 def never_reading(port: int) -> Iterator[Counter[str]]:
-    """A subscriber to everything that reads nothing for `STALL_S`, leaves without a word, and comes again."""
+    """Subscribe to everything, read nothing for `STALL_S`, disconnect without notice, and repeat."""
     over, counts = threading.Event(), Counter[str]()
 
     def stall() -> None:
@@ -241,7 +241,7 @@ def never_reading(port: int) -> Iterator[Counter[str]]:
 
 
 def run(seconds: float, *, progress: bool = False) -> Soaked:
-    """Soak for `seconds`."""
+    """Run the daemon for `seconds`."""
     with TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         draw_rings(folder)
@@ -293,7 +293,7 @@ def _judge(out: Soaked, robot: PtyRobot) -> None:
 
 
 def table(out: Soaked) -> str:
-    """A table of the load and its outcome."""
+    """Write a table of the load and its outcome."""
     health, megabytes = out.last, [mb for _, mb in out.resident_mb]
     serial = health["serial"]
     rows = ["| what | |", "|---|---:|", f"| seconds | {out.took_s:.0f} |"]

@@ -47,7 +47,7 @@ def black(cell: Cell) -> Seen:
 
 
 def no_calibration(cell: Cell) -> Seen:
-    """There is no calibration at the start, and it comes later."""
+    """The calibration is missing at the start and appears later."""
     path = cell.folder / "c.npz"
     data = path.read_bytes()
     path.unlink()
@@ -84,7 +84,7 @@ def bad_calibration(cell: Cell) -> Seen:
 
 
 def bad_settings(cell: Cell) -> Seen:
-    """A reload finds a wrong key, then none."""
+    """A reload finds a wrong key in the settings; the next reload finds it removed."""
     cell.serve()
     cell.start()
     since_s = cell.mark()

@@ -1,4 +1,4 @@
-"""The registry of faults, and the table of what came of each."""
+"""The registry of faults, and the table of their outcomes."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
 
 
 def run_one(fault: Fault) -> Seen:
-    """A new daemon and broker for each. Raises AssertionError where it is not as promised, SkippedError."""
+    """Run a fault with a new daemon and broker. Raises AssertionError (a promise is broken) and SkippedError."""
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         return fault(cell)
 
 
 def run(names: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Rows of the table, each with its problem."""
+    """Yield the rows of the table, each with its problem or an empty string."""
     for name, fault in FAULTS.items():
         if names and not any(word in name for word in names):
             continue
@@ -62,7 +62,7 @@ def run(names: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[
 
 
 def table(rows: list[tuple[str, ...]]) -> str:
-    """For a person."""
+    """Write the table."""
     lines = ["| " + " | ".join(HEAD) + " |", "|---|---:|---:|---|---|"]
     return "\n".join((*lines, *("| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows)))
 

@@ -1,7 +1,7 @@
-"""Requests and serial lines of anything, to the real daemon in this process: where do its files and messages go?
+"""Send arbitrary requests and serial lines to the real daemon in this process: where do its files and messages go?
 
-Requests enter where paho hands them over (`MqttLink._on_message`), or through a real broker; lines through a pty. What
-the daemon opens to write is seen by an audit hook of Python's, what it publishes by a subscriber to everything.
+Requests enter where paho delivers them (`MqttLink._on_message`), or through a real broker; lines enter through a pty.
+A Python audit hook sees every file that the daemon opens for writing; a subscriber to everything sees its messages.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ MEANT = re.compile(
 LOOKED_AT = tuple(f"{BASE}/{part}" for part in ("contact", "health", "res/status"))
 _FILE_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
 BLOCK = 500
-"""Lines that are sent in one mode of the serial line."""
+"""Number of lines sent before the serial line changes its mode."""
 
 _NAMES = (
     *("a", "pad-1", "../../etc/x", "..", ".", "/tmp/x", "a/b", "a\\b", "a\x00b", "x" * 64, "x" * 65, "x" * 5000, "-"),
@@ -71,7 +71,7 @@ _VALUES: tuple[Any, ...] = (
 
 
 class Written:
-    """What this process opened to write, or made, since `watch`; an audit hook cannot be taken away again."""
+    """Counts the paths that this process writes or changes while `watch` is on; an audit hook cannot be removed."""
 
     def __init__(self) -> None:
         self.paths: Counter[str] = Counter()
@@ -79,7 +79,7 @@ class Written:
         sys.addaudithook(self._hook)
 
     def watch(self, on: bool) -> None:
-        """Begin or end."""
+        """Begin or end counting."""
         self._on = on
 
     def _hook(self, event: str, args: tuple[Any, ...]) -> None:
@@ -101,7 +101,7 @@ WRITTEN = Written()
 
 @dataclass(slots=True)
 class Came:
-    """What came of it."""
+    """The results of the run."""
 
     sent: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
@@ -123,7 +123,7 @@ class Bench:
     slave: int
     topics: Counter[str] = field(default_factory=Counter)
     answered: Counter[str] = field(default_factory=Counter)
-    """Where replies were to go, those too that were left out because 16 wait for the broker."""
+    """Topics of replies, including those that were dropped because 16 already waited for the broker."""
 
     @property
     def alive(self) -> bool:
@@ -133,7 +133,7 @@ class Bench:
 
 @contextmanager
 def bench() -> Iterator[Bench]:
-    """Frames with contacts that come to rest, so that sessions take presses."""
+    """Run a daemon on frames with contacts that come to rest, so that sessions take presses."""
     with TemporaryDirectory() as name, Broker(Path(name)) as broker, Subscriber(broker.port, v5=True) as seen:
         topics = Counter[str]()
 
@@ -183,7 +183,7 @@ def bench() -> Iterator[Bench]:
 
 
 def request(draw: random.Random) -> tuple[str, bytes, str | None, bytes | None]:
-    """Verb, payload, response topic, correlation data."""
+    """Draw a request: verb, payload, response topic, correlation data."""
     verb = draw.choice(_VERBS[:5]) if draw.random() < 0.8 else draw.choice(_VERBS)
     if draw.random() < 0.05:
         verb = "".join(c for c in draw.choices("abc/+#\x00äé\n\x1b{}", k=draw.randrange(1, 20)) if c not in "/+#\x00")
@@ -208,7 +208,7 @@ def request(draw: random.Random) -> tuple[str, bytes, str | None, bytes | None]:
 
 
 def _body(verb: str, draw: random.Random) -> Any:
-    """Mostly what the verb takes, with something else here and there."""
+    """Draw a request's content, which mostly suits the verb but sometimes contains a wrong value."""
     body: dict[str, Any] = {}
     if verb == "profile":
         body["profile"] = draw.choice(("fast", "fast", "balanced", "auto", "nope"))
@@ -228,7 +228,7 @@ def _body(verb: str, draw: random.Random) -> Any:
 
 
 def line(draw: random.Random) -> bytes:
-    """A line for the robot's channel, without its end."""
+    """Draw a line for the robot's channel, without its end."""
     verb = draw.choice(("HELLO", "SYNC", "POSE", "CAPTURE", "REFERENCE", "STATUS", "HELP", "STITCH", "STITCH", "NOPE"))
     words = {
         "HELLO": lambda: ["1", *draw.sample(("crc=opt", "boot=b1", "crc=req", "x=1"), draw.randrange(2))],
@@ -251,7 +251,7 @@ def line(draw: random.Random) -> bytes:
 
 
 def send_requests(one: Bench, numbers: range, seed: int, came: Came, *, broker: bool) -> None:
-    """In process; or, with QoS 0, through the broker."""
+    """Send requests in process or, with QoS 0, through the broker."""
     for number in numbers:
         verb, payload, where, correlation = request(random.Random(f"{seed}:request:{number}"))
         properties = None
@@ -263,14 +263,14 @@ def send_requests(one: Bench, numbers: range, seed: int, came: Came, *, broker: 
                 properties.CorrelationData = correlation
         topic = f"{BASE}/req/{verb}"
         if broker:
-            # What no broker lets through would end the connection of who sends it.
+            # A broker ends the connection of a client that sends an invalid topic.
             if properties is not None and where and (set(where) & set("+#\x00") or not where.isprintable()):
                 continue
             if set(topic) & set("+#\x00") or "\ud800" in topic:
                 continue
             one.seen.client.publish(topic, payload, 0, properties=properties)
             if number % 20 == 0:
-                time.sleep(0.02)  # so slowly that most are answered
+                time.sleep(0.02)  # slowly enough that most requests are answered
         else:
             message = MQTTMessage(0, topic.encode(errors="replace"))
             message.payload, message.properties = payload, properties
@@ -282,7 +282,7 @@ def send_requests(one: Bench, numbers: range, seed: int, came: Came, *, broker: 
 
 
 def send_lines(one: Bench, numbers: range, seed: int, came: Came) -> None:
-    """Over the pty, as fast as the daemon reads; answers are read and thrown away."""
+    """Send lines over the pty as fast as the daemon reads; read and discard the answers."""
     for first in range(numbers.start, numbers.stop, BLOCK):
         binary = (first // BLOCK) % 2 == 1
         data = bytearray(cobs.encode(b"LMODE ASCII") + b"\0" + b"\nMODE ASCII\n")
@@ -306,14 +306,14 @@ def send_lines(one: Bench, numbers: range, seed: int, came: Came) -> None:
 
 
 def drain(one: Bench, stop: threading.Event) -> None:
-    """Read the daemon's last answers."""
+    """Read and discard the daemon's answers until `stop`."""
     while not stop.is_set():
         if select.select([one.master], [], [], 0.05)[0]:
             os.read(one.master, 65536)
 
 
 def judge(one: Bench, came: Came) -> None:
-    """Where its files and messages went."""
+    """Check where the daemon's files and messages went."""
     health = json.loads(one.seen.of(f"{BASE}/health")[-1])
     frames = health["frames"]
     if frames["captured"] != sum(count for name, count in frames.items() if name != "captured"):
@@ -344,7 +344,7 @@ def _meant_file(folder: str, path: str) -> bool:
 
 
 def run(requests: int, lines: int, through_broker: int, first: int, seed: int) -> Came:
-    """Send all, in this order: lines and requests beside each other, then those through the broker."""
+    """Send lines and requests at the same time, then the requests through the broker."""
     came = Came()
     began_s = time.monotonic()
     with bench() as one:
@@ -357,7 +357,7 @@ def run(requests: int, lines: int, through_broker: int, first: int, seed: int) -
         drainer.start()
         send_requests(one, range(first, first + through_broker), seed + 1, came, broker=True)
         if one.alive:
-            # A question that is answered: the daemon is there, and what was sent before is done.
+            # An answer shows that the daemon runs and has processed everything before it.
             for attempt in range(200):
                 one.seen.publish(f"{BASE}/req/status", json.dumps({"transaction": f"last {attempt}"}).encode())
                 pause = threading.Event()
@@ -381,7 +381,7 @@ def run(requests: int, lines: int, through_broker: int, first: int, seed: int) -
 
 
 def table(came: Came) -> str:
-    """What was sent, and what came of it."""
+    """Write a table of what was sent and what resulted."""
     mqtt, serial = came.figures["mqtt"], came.figures["serial"]
     replies = sum(n for topic, n in came.topics.items() if topic.startswith(f"{BASE}/res/"))
     rows = [

@@ -1,11 +1,11 @@
-"""``make lock``: pins what a board is given to the newest wheels that pyproject allows, and lists what is in them.
+"""``make lock``: pin a board's packages to the newest wheels that pyproject allows, and list their contents.
 
 ::
 
     python -m tools.release.lock            # systemd/requirements.lock, then docs/reference/bill.cdx.json
-    python -m tools.release.lock --bill     # the list alone, of the lock as it is
+    python -m tools.release.lock --bill     # only the list, from the existing lock
 
-Needs uv, which resolves for all machines at once and installs for others than this one.
+This needs uv, which resolves packages for all machines together and installs them for machines other than this one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UV = (sys.executable, "-m", "uv", "pip", "--quiet")
 
 
 def lock() -> None:
-    """Write the lock: the program's packages, those of its page, and what builds it."""
+    """Write the lock with the packages of the program, of its page, and of its build."""
     builds = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     words = ["--universal", "--python-version", PYTHONS[0], "--extra", "dashboard", "--upgrade", "--generate-hashes"]
     words += ["--only-binary", ":all:", "--emit-build-options", "--no-header", "--no-annotate"]
@@ -41,7 +41,7 @@ def lock() -> None:
 
 
 def list_what_is_in_it() -> None:
-    """Install the lock for each machine and Python, which shows too that there are wheels for all."""
+    """Install the lock for each machine and Python, which also shows that all have wheels, and write the list."""
     with tempfile.TemporaryDirectory() as folder:
         found: dict[str, Path] = {}
         for machine in MACHINES:

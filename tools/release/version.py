@@ -1,7 +1,8 @@
-"""The version that a build gets, which pyproject.toml asks here: the tag's, and beyond it the next one's development.
+"""The version of a build, for pyproject.toml: the tag's version, or after the tag a development version of the next.
 
-`git describe` tells both; in an sdist PKG-INFO does, in an archive that git made, ``archive_version.txt``. Where a part
-of the tree is built elsewhere, as for an image, who sends it there tells by ``TACSHADE_EDGE_VERSION``.
+The version comes from `git describe`, in an sdist from PKG-INFO, and in an archive that git made from
+``archive_version.txt``. If another place builds part of the tree, such as an image, its caller sets
+``TACSHADE_EDGE_VERSION``.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNKNOWN = "0+unknown"
-"""Nothing tells: a copy of the files alone. The daemon says the same where it runs without being installed."""
+"""The version of a bare copy of the files. A daemon that runs without being installed reports the same."""
 
 _DESCRIBED = re.compile(r"v(\d+)\.(\d+)\.(\d+)(?:-(\d+)-g([0-9a-f]+))?")
 
 
 def version(root: Path = ROOT) -> str:
-    """The version of the tree at `root`."""
+    """Find the version of the tree at `root`."""
     if told := os.environ.get("TACSHADE_EDGE_VERSION"):
         return told
     if (about := root / "PKG-INFO").is_file():
         return str(email.message_from_string(about.read_text(encoding="utf-8"))["Version"])
-    if (root / ".git").exists():  # else git would describe whatever repository lies around it
+    if (root / ".git").exists():  # otherwise git would describe a repository around the tree
         if described := _git(root, "describe", "--tags", "--long", "--match", "v[0-9]*", "--exclude", "*-*"):
             return version_of(described)
         if commits := _git(root, "rev-list", "--count", "HEAD"):  # before the first release
@@ -36,7 +37,7 @@ def version(root: Path = ROOT) -> str:
 
 
 def version_of(described: str) -> str:
-    """From what `git describe` says: ``v1.2.3`` is 1.2.3, ``v1.2.3-4-gabc`` 1.2.4.dev4+gabc."""
+    """Convert the output of `git describe`: ``v1.2.3`` gives 1.2.3, ``v1.2.3-4-gabc`` gives 1.2.4.dev4+gabc."""
     found = _DESCRIBED.fullmatch(described)
     if found is None:
         return UNKNOWN
@@ -47,7 +48,10 @@ def version_of(described: str) -> str:
 
 
 def _git(root: Path, *words: str) -> str:
-    """What it says; nothing where it is missing or fails. A tree of another's is the user's choice, who builds it."""
+    """Run git and return its output; an empty string if git is missing or fails.
+
+    `safe.directory` accepts a tree that another user owns, because the user has chosen to build it.
+    """
     command = ["git", "-c", f"safe.directory={root}", "-C", str(root), *words]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

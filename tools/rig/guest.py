@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
-"""Run a command as root under a real kernel: Debian's, in a software-emulated guest whose root is this machine's.
+"""Run a command as root under Debian's kernel, in a software-emulated guest with this machine's root file system.
 
 ::
 
     python3 -m tools.rig.guest [--systemd] [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
 
-The guest sees this machine's files at the same paths, read-only (9p); what it writes goes to memory and is lost,
-except below ``/out``, which is DIR here. COMMAND runs in the tree's folder; its output and its exit status are
-ours. With --systemd it runs when systemd and udev have started, as on any machine. 77 says that the guest cannot be
-run here (one line tells why), 125 that it did not finish: it gave no sign of life for --silent seconds (it gives one
-each second), or ended without an exit status. Only the standard library: it must be able to say what is missing.
+The guest sees this machine's files at the same paths, read-only (9p). Its writes go to memory and are lost, except
+below ``/out``, which is DIR on this machine. COMMAND runs in the tree's folder, and this program passes on its output
+and exit status. With --systemd, COMMAND runs after systemd and udev have started, as on any machine. Exit status 77
+means that the guest cannot run here (one line says why). 125 means that it did not finish: it gave no sign of life for
+--silent seconds (normally one each second), or ended without an exit status. This program uses only the standard
+library, so that it can report what is missing.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ TREE = HERE.parents[1]
 CACHE = TREE / ".rig"
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console")
 NETWORK_MODULES = ("virtio_net", "af_packet")
-PROGRAMS = {  # what we call: the Debian package it is in
+PROGRAMS = {  # each program that we call, and its Debian package
     "qemu-system-x86_64": "qemu-system-x86",
     "busybox": "busybox-static",
     "cpio": "cpio",
@@ -50,14 +51,14 @@ EXIT_CANNOT, EXIT_UNFINISHED = 77, 125
 
 
 class CannotRunError(Exception):
-    """The guest cannot be run on this machine; one line says why."""
+    """The guest cannot run on this machine; the message's one line says why."""
 
 
 def check(systemd: bool) -> None:
-    """Raise CannotRunError when a program that the guest needs is not here."""
+    """Raise CannotRunError if a program that the guest needs is missing."""
     if platform.machine() != "x86_64":
         raise CannotRunError(f"the guest needs an x86-64 machine, this one is {platform.machine()}")
-    os.environ["PATH"] += ":/usr/sbin:/sbin"  # kmod's programs, for who is not root
+    os.environ["PATH"] += ":/usr/sbin:/sbin"  # for kmod's programs, if the user is not root
     programs = PROGRAMS | (SYSTEMD_PROGRAMS if systemd else {})
     missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
     if missing:
@@ -65,7 +66,7 @@ def check(systemd: bool) -> None:
 
 
 def kernel() -> tuple[Path, str]:
-    """Unpack Debian's standard kernel once; return the folder that holds it and its version."""
+    """Unpack Debian's standard kernel once; return its folder and its version."""
     ready = sorted(CACHE.glob("kernel-*"), key=lambda path: path.stat().st_mtime)
     if ready:
         return ready[-1], ready[-1].name.removeprefix("kernel-")
@@ -117,7 +118,7 @@ def initramfs(out: Path, root: Path, version: str, systemd: bool, network: bool)
 
 
 def _modules(root: Path, version: str, network: bool) -> list[Path]:
-    """Files of the boot modules and of all they depend on, in loading order."""
+    """List the files of the boot modules and of their dependencies, in loading order."""
     files: dict[Path, None] = {}
     for module in (*BOOT_MODULES, *(NETWORK_MODULES if network else ())):
         for line in _output("modprobe", "-d", str(root), "-S", version, "--show-depends", module).splitlines():
@@ -127,10 +128,10 @@ def _modules(root: Path, version: str, network: bool) -> list[Path]:
 
 
 def run(command: list[str], out: Path, silent_s: float, systemd: bool, fresh: Path | None = None) -> int:
-    """Boot, run the command, return its exit status.
+    """Boot the guest, run the command, and return its exit status.
 
-    With `fresh`, the root of another system, the guest has that in place of this machine's files, a network, and more
-    memory, since what it installs lies there.
+    With `fresh`, the root of another system, the guest sees that system instead of this machine's files. It also gets a
+    network, and more memory, because installed files go there.
     """
     root, version = kernel()
     initramfs(out, root, version, systemd, fresh is not None)
@@ -158,14 +159,14 @@ def run(command: list[str], out: Path, silent_s: float, systemd: bool, fresh: Pa
 
 
 def _qemu(root: Path, version: str, out: Path, systemd: bool, fresh: Path | None) -> list[str]:
-    """Software emulation only: hardware virtualisation is not everywhere, and its timing would differ."""
+    """Make QEMU's command, without hardware virtualisation: not every machine has it, and it changes the timing."""
     more = " systemd.unit=scenario.target systemd.show_status=0" if systemd else ""
     share = "security_model=none,multidevs=remap"
     network = ("-nic", "user,model=virtio-net-pci") if fresh else ("-nic", "none")
     memory_mib, more = ("6144", f"{more} net.ifnames=0") if fresh else ("1536", more)
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
-        *("-cpu", "max,-avx,-avx2,-fma"),  # whose emulation takes ten times as long
+        *("-cpu", "max,-avx,-avx2,-fma"),  # emulating these takes ten times as long
         *("-smp", "2", "-m", memory_mib, "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
         *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()}" + more),
@@ -184,10 +185,10 @@ def _qemu(root: Path, version: str, out: Path, systemd: bool, fresh: Path | None
 
 
 def _clock() -> str:
-    """The rate of the guest's time stamp counter, which is this machine's.
+    """Measure the rate of the guest's time stamp counter, which is this machine's.
 
-    The kernel would find it out by counting, and is off by several times where the emulator does not run meanwhile: the
-    guest's seconds are then too short for anything to be done in one.
+    If the kernel measured the rate while the emulator is not scheduled, the result would be wrong by a large factor,
+    and the guest's seconds would be too short for any work.
     """
     read = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
     read.write(bytes.fromhex("0f31 48c1e220 4809d0 c3"))  # rdtsc; shl rdx, 32; or rax, rdx; ret
@@ -206,7 +207,7 @@ def _output(*command: str, cwd: str | None = None) -> str:
 
 
 def main() -> int:
-    """Parse the command line and run."""
+    """Parse the command line and run the guest."""
     parser = argparse.ArgumentParser(prog="guest.py", description="Run COMMAND under a real kernel in a guest.")
     parser.add_argument("--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""Shards of make_data.py in memory, and batches of them."""
+"""Load the shards of make_data.py and cut them into batches."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from torch.nn import functional
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 
 KINDS = ("plain", "uneven", "wide", "varied", "other", "outside")
-"""Of sensors: shards from 0, 5000, 10000, 15000, 20000 and 25000 on."""
+"""Kinds of sensors, in shards from 0, 5000, 10000, 15000, 20000 and 25000 on."""
 
 
 @dataclass(slots=True, eq=False)
 class Data:
-    """All samples, in memory as stored; `sensor` is the row of `reference` and `known` of each frame."""
+    """All samples, in memory as stored; `sensor` gives each frame's row in `reference` and `known`."""
 
     reference: np.ndarray
     known: np.ndarray
@@ -30,11 +30,11 @@ class Data:
     fold: int
 
     def chances(self) -> np.ndarray:
-        """How much oftener than others each frame is drawn: as users press, not to the ends of what is made."""
+        """Weight each frame for drawing: presses like those of users come more often than extreme ones."""
         return np.where(self._usual(), 2.5, 1.0) * np.where(self._pressed_only(), 2.0, 1.0)
 
     def _usual(self) -> np.ndarray:
-        """At most 4.8 mm deep and 3.2 mm dragged on a skin of 20 mm."""
+        """Whether a frame is at most 4.8 mm deep and dragged by 3.2 mm, on a skin with a radius of 20 mm."""
         return (self._depth_max_mm() < 4.8) & (self._drag_mm() < 3.2)
 
     def _pressed_only(self) -> np.ndarray:
@@ -44,7 +44,7 @@ class Data:
         return self.height.reshape(len(self.height), -1).max(axis=1).astype(np.float32) * DISC_MM
 
     def _drag_mm(self) -> np.ndarray:
-        """How far the contact's skin was moved sideways, in the mean."""
+        """How far the skin in contact has moved sideways, on average."""
         drag_mm = np.zeros(len(self.frame), np.float32)
         for k, (packed, shear) in enumerate(zip(self.contact, self.shear, strict=True)):
             cells, coarse = np.unpackbits(packed, axis=-1), len(shear)
@@ -56,7 +56,7 @@ class Data:
 
 
 def shards_in(folder: Path) -> dict[str, list[Path]]:
-    """The shards of each kind that is there."""
+    """Find the shards in a folder, sorted by kind."""
     shards: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("shard_*.npz")):
         shards.setdefault(KINDS[int(path.stem[6:]) // 5000], []).append(path)
@@ -64,7 +64,7 @@ def shards_in(folder: Path) -> dict[str, list[Path]]:
 
 
 def load(paths: list[Path], fold: int, cells: int) -> Data:
-    """Read shards, whose maps are of 112x112 cells."""
+    """Read shards, whose maps have 112x112 cells."""
     parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact", "shear")}
     for path in paths:
         with np.load(path) as shard:
@@ -79,8 +79,8 @@ def load(paths: list[Path], fold: int, cells: int) -> Data:
 
 
 def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
-    """Means over by x by cells; contact where half of them touch."""
-    if name == "shear":  # stored at 56x56 cells
+    """Average `by` x `by` cells; a pooled cell is in contact where half of them touch."""
+    if name == "shear":  # stored on 56x56 cells
         *first, rows, cols, two = array.shape
         by = rows // COARSE_CELLS
         return array.reshape(*first, rows // by, by, cols // by, by, two).mean(axis=(-4, -2), dtype=np.float32)
@@ -95,9 +95,9 @@ def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
 
 
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Inputs of a network; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
+    """Make a network's inputs; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
 
-    `turn`: which of the square's 8 symmetries.
+    `turn` selects one of the square's 8 symmetries.
     """
 
     def turned(array: np.ndarray) -> np.ndarray:
@@ -107,13 +107,13 @@ def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor,
     sensor = data.sensor[index]
     maps = np.stack((turned(data.frame[index]), turned(data.reference[sensor])), axis=1)
     maps = torch.from_numpy(maps).float() / 255
-    # A turned sensor is another sensor of the family, whose positions are where they were.
+    # A turned sensor is another sensor of the family, so the maps of its geometry are not turned.
     known = torch.from_numpy(data.known[sensor].astype(np.float32))
     x = torch.cat((functional.pixel_unshuffle(maps, data.fold), known), 1)
     height = torch.from_numpy(turned(data.height[index]).astype(np.float32) * HEIGHT_SCALE)
     contact = np.unpackbits(data.contact[index], axis=-1)
     x_y = turned(data.shear[index].astype(np.float32) * HEIGHT_SCALE)
-    for _ in range(turn % 4):  # a quarter turn of the rows and columns takes x to -y and y to x
+    for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
         x_y = np.stack((x_y[..., 1], -x_y[..., 0]), axis=-1)
     if turn >= 4:
         x_y = x_y * np.array((-1, 1), np.float32)

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Write a checkpoint as ONNX, prove that ONNX Runtime runs it alike, and say where it came from.
+"""Write a checkpoint as ONNX, check that ONNX Runtime gives the same results, and record the origin.
 
 ::
 
     .venv-train/bin/python -m tools.training.export --run RUN --out accurate.onnx [--shipped-part 0.5]
 
-The first layer is cut in two: what the sensor's reference and geometry add to it goes to ``accurate.sensor.onnx``,
-which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Beside them goes
-a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
+The first layer is cut in two. ``accurate.sensor.onnx`` computes what the sensor's reference and geometry contribute and
+runs once per sensor. The rest takes this contribution and a frame's white, and runs for every frame. A JSON file of the
+same name records command, seed, commit, data, figures and SHA-256.
 
-A short run on other data than the shipped weights had forgets some of theirs. ``--shipped-part`` gives it back: weights
-on the way from the run's to the shipped ones, which it began with, are often better than either on both
+A short run on new data forgets part of what the shipped weights learned. ``--shipped-part`` restores it: weights
+between the run's and the shipped ones, with which the run started, are often better than either on both kinds of data
 (Wortsman et al., CVPR 2022).
 """
 
@@ -39,11 +39,11 @@ from tools.training.shipped import WEIGHTS
 OPSET = 13
 TOLERANCE = 1e-4
 OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "shear": ["displacement"]}
-"""Of `network.NETS`, as the tensors of the shipped files are called: those names are of their bytes and stay."""
+"""Output tensors of each of `network.NETS`, named as in the shipped files, whose bytes contain these names."""
 
 
 class PerSensor(nn.Module):
-    """What the maps that are known of a sensor add to the first convolution."""
+    """Computes the part of the first convolution that depends only on a sensor's known maps."""
 
     def __init__(self, net: Net | ShearNet) -> None:
         super().__init__()
@@ -52,12 +52,12 @@ class PerSensor(nn.Module):
         self.register_buffer("bias", bias)
 
     def forward(self, known: Tensor) -> Tensor:
-        """Run it."""
+        """Run this part of the first layer."""
         return functional.conv2d(known, self.weight, self.bias, padding=1)
 
 
 class PerFrame(nn.Module):
-    """The network from a frame's white and what `PerSensor` gave."""
+    """The network as a function of a frame's white and the output of `PerSensor`."""
 
     def __init__(self, net: Net | ShearNet) -> None:
         super().__init__()
@@ -66,13 +66,13 @@ class PerFrame(nn.Module):
         self.register_buffer("weight", first_layer(net)[0][:, : net.fold**2])
 
     def forward(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, ...]:
-        """Run it."""
+        """Run the network."""
         made = self.rest(functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor))
         return made if isinstance(made, tuple) else (made,)
 
 
 def first_layer(net: Net | ShearNet) -> tuple[Tensor, Tensor]:
-    """Weight and bias of the first convolution with its normalisation."""
+    """Fold the normalisation into the first convolution and return its weight and bias."""
     conv, norm = net.down[0][0], net.down[0][1]
     fused = fuse_conv_bn_weights(
         conv.weight, None, norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
@@ -129,13 +129,13 @@ def main() -> None:
 def write(part: nn.Module, inputs: dict[str, Tensor], outputs: list[str], path: Path) -> None:
     """Write a part of the network."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
+        warnings.simplefilter("ignore", DeprecationWarning)  # this exporter needs only torch
         torch.onnx.export(part.eval(), tuple(inputs.values()), str(path), dynamo=False, opset_version=OPSET,
                           input_names=list(inputs), output_names=outputs)  # fmt: skip
 
 
 def blend(path: Path, shipped: Path, part: float) -> None:
-    """Move the weights of a file that part of the way to those that are committed."""
+    """Move the weights of a file by `part` of the way to the committed ones."""
     name = shipped.relative_to(Path.cwd()).as_posix()
     old = subprocess.run(["git", "show", f"HEAD:{name}"], capture_output=True, check=True).stdout
     made = path.read_bytes()
@@ -143,7 +143,7 @@ def blend(path: Path, shipped: Path, part: float) -> None:
 
 
 def run(path: Path, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Run a part as the project does."""
+    """Run a part with ONNX Runtime, as the project does."""
     return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, inputs)
 
 

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Fit how far off the shipped networks are: ``tacshade_edge/inference/weights/sigma.json`` (`core.depth.sigma`).
+"""Fit the errors of the shipped networks: ``tacshade_edge/inference/weights/sigma.json`` (`core.depth.sigma`).
 
 ::
 
     .venv/bin/python -m tools.training.fit_sigma [--cluster tcp://HOST:8786]  # about ten minutes of one core
 
-The weights are of some objects, pressed and dragged; how scales follow from presses is of others on the same sensors:
-on objects that the weights were not fitted to, errors are larger. The page docs/results/sigma.md is of objects and
-sensors of neither. New networks need this again.
+The weights are fitted to some objects, pressed and dragged. The relation between presses and error scales is fitted to
+other objects on the same sensors, because errors are larger on objects that the weights were not fitted to. The page
+docs/results/sigma.md uses neither these objects nor these sensors. New networks need a new fit.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ SENSORS = ("5", "11", "21", "50", "51", "52", "other:31", "other:32", "other:33"
 WEIGHT_OBJECTS = ("cube", "ball", "cylinder", "bar", "cross")
 SCALE_OBJECTS = ("small_crescent", "plate", "prism", "two_balls")
 EVERY = 4
-"""Of the presses of an object; and of the cells of a contact."""
+"""One in this many presses of an object is measured, and one in this many cells of its contact."""
 COVERED = 0.9
 SMOOTH = (0.5, 0.2, 0.1)
-"""Of the pinball loss, in log σ: each minimum begins at the one before."""
+"""Smoothing of the pinball loss, in log σ: each minimisation starts at the minimum before it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,14 +66,18 @@ class Cells:
 
     @classmethod
     def joined(cls, some: Iterable[Cells]) -> Cells:
-        """All of them."""
+        """Join the cells of several contacts."""
         each = list(some)
         return cls(np.concatenate([c.x for c in each]), np.concatenate([c.error_mm for c in each]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A sensor: its calibration, and for each network what was pressed, with the factors of its presses and without."""
+    """A sensor, its calibration and presses, and the cells of each network.
+
+    `weights` and `scales` hold cells of the objects for each of the two fits, with the factors that the calibration
+    learned from the presses; `bare` holds those of `scales` without these factors.
+    """
 
     name: SensorName
     calibration: Calibration
@@ -84,12 +88,12 @@ class Measured:
 
     @property
     def geometry(self) -> Geometry:
-        """As calibrated."""
+        """The sensor's geometry as calibrated."""
         return self.calibration.geometry
 
 
 def measure(text: str) -> Measured:
-    """Calibrate a sensor and press objects."""
+    """Calibrate a sensor and press objects on it."""
     name = sensor_name(text)
     sensor = name.make()
     model, networks = sensor.model, load_networks()
@@ -130,7 +134,7 @@ def measure(text: str) -> Measured:
 
 
 def quantile_weights(x: F64, log_error: F64, of_each: F64) -> F64:
-    """Weights w so that x @ w is the quantile `COVERED` of log |error|: the pinball loss, smoothed, cells weighted."""
+    """Find weights w so that x @ w is the quantile `COVERED` of log |error|, by a smoothed, weighted pinball loss."""
     found = np.zeros(x.shape[1])
     found[0] = np.quantile(log_error, COVERED)
     for smooth in SMOOTH:
@@ -146,19 +150,19 @@ def quantile_weights(x: F64, log_error: F64, of_each: F64) -> F64:
 
 
 def scale_of(model: SigmaModel, cells: Cells, geometry: Geometry) -> float:
-    """What makes the 90 % intervals of a sensor hold as many."""
+    """Find the factor on σ with which a sensor's 90 % intervals hold 90 % of the errors."""
     off = cells.error_mm / sigma_of_scale_1(model, cells.x, geometry)
     return float(np.quantile(off, COVERED)) / INTERVAL_90
 
 
 def fit(network: str, sensors: list[Measured]) -> SigmaModel:
-    """The errors of a network."""
+    """Fit the error model of a network."""
     of = [sensor.weights[network] for sensor in sensors]
     size = np.array([sensor.geometry.skin_radius_mm / 20 for sensor in sensors])
     x = np.concatenate([cells.x for cells in of]).astype(np.float64)
     of_each = np.concatenate([np.full(len(c.x), 1 / len(c.x) / len(of)) for c in of])
     scales = np.zeros(len(of))
-    for _ in range(6):  # by turns the weights of all and the scale of each
+    for _ in range(6):  # alternate between all sensors' weights and each sensor's scale
         log_error = [np.log(c.error_mm / k + 1e-3) - s for c, k, s in zip(of, size, scales, strict=True)]
         weights = quantile_weights(x, np.concatenate(log_error), of_each)
         model = SigmaModel((weights[0] - np.log(INTERVAL_90), *weights[1:]), 1.0, 0.0, 1.0)
@@ -188,7 +192,7 @@ def _press_q(network: str, model: SigmaModel, sensor: Measured) -> float:
 
 
 def main() -> None:
-    """Fit and write."""
+    """Fit all networks and write the file."""
     parser = argparse.ArgumentParser(description="Fit how far off the shipped networks are.")
     study.add_cluster(parser)
     args = parser.parse_args()

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Write the integer graph of a shipped network, ``NAME.integer.onnx``: its layers on 8-bit codes.
+"""Write the integer graph of a shipped network, ``NAME.integer.onnx``, whose layers compute with 8-bit codes.
 
 ::
 
     .venv-train/bin/python -m tools.training.integer --data DATA --name fast
     .venv-train/bin/python -m tools.training.integer --data DATA --name shear --part 0.97
 
-The graph has no weights: those of ``NAME.onnx``, or fitted ones of its layout, are joined to it when it is read. Beside
-the operations it has the scales of the codes: how far each channel goes on the shards of make_data.py, in all frames or
-in that part of them; the greatest values of the others end at the last code.
+The graph has no weights: the reader adds those of ``NAME.onnx``, or fitted ones with the same layout. It contains the
+operations and the scales of the codes. A scale covers the range of a channel on the shards of make_data.py, in all
+frames or, with ``--part``, in that part of them; greater values in the other frames are clipped to the last code.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def channels(network: Network, once: bytes, frames: Sequence[Data], part: float) -> dict[str, Channels]:
-    """Of what becomes codes, and of what convolutions of codes read; ranges hold that part of the frames."""
+    """Measure the tensors that become codes or that convolutions of codes read; ranges cover `part` of the frames."""
     names = sorted({*network.coded, *network.read})
     model = onnx.ModelProto()
     model.CopyFrom(network.model)
@@ -67,7 +67,7 @@ def _session(data: bytes) -> onnxruntime.InferenceSession:
 
 
 def main() -> None:
-    """Measure, write."""
+    """Measure the ranges and write the graph."""
     parser = argparse.ArgumentParser(description="Write the integer graph of a shipped network.")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--name", required=True)

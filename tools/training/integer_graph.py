@@ -1,6 +1,6 @@
-"""A float network as a graph of 8-bit codes without weights, which rounds those that it is joined to.
+"""Turn a float network into a graph on 8-bit codes without weights, which rounds the float weights added to it.
 
-docs/explanation/numerics.md says what the codes are, and which layers are not of integers.
+docs/explanation/numerics.md describes the codes and lists the layers that stay in float32.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 OUTPUTS = ("depth_and_contact", "foreign", "displacement")
-"""Tensors of the shipped networks of depth, and of that of shear (`export.OUTPUTS`)."""
+"""Output tensors of the shipped depth networks and of the shear network (`export.OUTPUTS`)."""
 MOST_CODE, MOST_WEIGHT = 255, 63
-"""Two products of such numbers, 2 * 255 * 63, fit int16: so x86-64 without VNNI adds them, and saturates beyond."""
+"""x86-64 without VNNI adds two products in int16 and saturates larger sums; 2 * 255 * 63 fits."""
 LEAST_RANGE = 1e-3
-"""Of a channel that never answers."""
+"""Range of a channel that is always 0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,14 +30,14 @@ class Channels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tensor:
-    """A tensor of the integer graph: a value is its channel's scale times how far a number is above `zero`.
+    """A tensor of the integer graph: a value is its channel's scale times (code - `zero`).
 
     Attributes
     ----------
     name : str
     scale : float32 (C,) or (1,)
     zero : int or None
-        None: float32, which the next weights multiply by the scale; else uint8.
+        An int for uint8 codes. None for float32, which the scale in the next weights multiplies.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Tensor:
 
 
 class Network:
-    """A float network: its nodes, who makes a tensor and who reads it."""
+    """A float network: its nodes, and the nodes that make and read each tensor."""
 
     def __init__(self, model: onnx.ModelProto) -> None:
         self.model = model
@@ -55,7 +55,7 @@ class Network:
         heads = [self.head(output.name) for output in model.graph.output]
         self.read_by_heads = {head.input[0] for head in heads}
         in_float = [*heads]
-        if OUTPUTS[0] in self.maker:  # a height has 20 times greater values beside it
+        if OUTPUTS[0] in self.maker:  # the other values of this tensor are 20 times as large as the heights
             in_float.append(self.maker[self.maker[self.maker[OUTPUTS[0]].input[0]].input[0]])
         convolutions = [node for node in self.nodes if node.op_type == "Conv"]
         sums = [node for node in self.nodes if node.op_type == "Add" and "sensor" not in node.input]
@@ -66,12 +66,12 @@ class Network:
         self.one_scale.add(self.result(convolutions[0]))
 
     def head(self, output: str) -> NodeProto:
-        """The convolution that gives an output."""
+        """The convolution that computes an output."""
         node = self.maker[output]
         return node if node.op_type == "Conv" else self.maker[node.input[0]]
 
     def result(self, convolution: NodeProto) -> str:
-        """What a convolution gives, after the sensor's part and the ReLU where there are any."""
+        """The result of a convolution, after the sensor's part and the ReLU if it has them."""
         name = convolution.output[0]
         while len(after := [node for node in self.nodes if name in node.input]) == 1:
             if after[0].op_type != "Relu" and "sensor" not in after[0].input:
@@ -80,13 +80,13 @@ class Network:
         return name
 
     def source(self, name: str) -> str:
-        """The tensor that a resized one was."""
+        """The tensor from which a resized one was made."""
         while self.maker[name].op_type == "Resize":
             name = self.maker[name].input[0]
         return name
 
     def side(self, name: str) -> int:
-        """Cells along a side of a tensor."""
+        """Number of cells along a side of a tensor."""
         node, side = self.maker[name], self.model.graph.input[0].type.tensor_type.shape.dim[3].dim_value
         while True:
             if node.op_type in ("Resize", "MaxPool"):
@@ -96,7 +96,7 @@ class Network:
             node = self.maker[node.input[0]]
 
     def width(self, name: str) -> int:
-        """Channels of a tensor that is not joined."""
+        """Number of channels of a tensor that was not joined."""
         node = self.maker[name]
         while node.op_type != "Conv":
             node = self.maker[node.input[0]]
@@ -104,11 +104,11 @@ class Network:
 
 
 def scales(network: Network, found: dict[str, Channels]) -> dict[str, Tensor]:
-    """Scale and zero of what becomes codes.
+    """Choose scale and zero of the tensors that become codes.
 
-    A channel's scale is halfway, as a ratio, between what it needs itself and what the widest channel of its tensor
-    needs: finer codes, and the weights that take the scale up are rounded hardly more. All channels have one where
-    tensors are added or float32 becomes codes.
+    A channel's scale is the geometric mean of what the channel itself needs and what the widest channel of its tensor
+    needs. This makes its codes finer, and the weights that absorb the scale are rounded hardly more coarsely. Where
+    tensors are added or float32 becomes codes, all channels share one scale.
     """
     made = {}
     for name in network.coded:
@@ -122,7 +122,7 @@ def scales(network: Network, found: dict[str, Channels]) -> dict[str, Tensor]:
 
 
 class Graph:
-    """The integer graph, made node by node; its inputs, outputs and weights have the names of the float network's."""
+    """The integer graph, made node by node; inputs, outputs and weights keep their names of the float network."""
 
     def __init__(self, network: Network, found: dict[str, Channels]) -> None:
         self.nodes: list[NodeProto] = []
@@ -150,7 +150,7 @@ class Graph:
         self._float(node, "Conv", self._cast(x), weight, *node.input[2:])
 
     def _of_codes(self, node: NodeProto, x: Tensor, coded: Tensor) -> Tensor:
-        """A convolution from codes to codes; a ReLU is that codes end at 0."""
+        """Make a convolution from codes to codes; it includes the ReLU, because codes are never below 0."""
         weight = self._scaled(node.input[1], x.scale)
         most = self._op("ReduceMax", self._op("Abs", weight), axes=[1, 2, 3], keepdims=1)
         most = self._op("Max", most, self._constant(np.float32(1e-9)))
@@ -158,7 +158,7 @@ class Graph:
         weight = self._op("Div", weight, step)
         rounded = self._op("Round", weight)
         step = self._op("Reshape", step, self._constant(np.array([-1])))
-        # What rounding takes from the sums in the mean is given back (Nagel et al., ICCV 2019).
+        # The bias corrects the mean error that rounding the weights causes in the sums (Nagel et al., ICCV 2019).
         mean = (self._found[node.input[0]].mean / x.scale).astype(np.float32).reshape(1, -1, 1, 1)
         lost = self._op("Mul", self._op("Sub", weight, rounded), self._constant(mean))
         bias = self._op("ReduceSum", lost, self._constant(np.array([1, 2, 3])), keepdims=0)
@@ -196,13 +196,16 @@ class Graph:
         self._made[node.output[0]] = Tensor(name, scale, None if as_float else 0)
 
     def _moved(self, node: NodeProto) -> None:
-        """The same numbers elsewhere."""
+        """Make a node that only moves numbers."""
         x = self._made[node.input[0]]
         name = self._op(node.op_type, x.name, like=node, name=_own(node))
         self._made[node.output[0]] = Tensor(name, x.scale, x.zero)
 
     def _doubled(self, node: NodeProto) -> None:
-        """Each cell as 2x2, channels last as the runtime has codes there: copies, five times as fast as its Resize."""
+        """Double each cell in both directions by copies, five times as fast as the runtime's Resize.
+
+        Channels come last, because the runtime keeps codes in this order.
+        """
         x, channels = self._made[node.input[0]], self._network.width(node.input[0])
         side = self._network.side(node.input[0])
         name = self._op("Transpose", x.name, perm=[0, 2, 3, 1])
@@ -249,5 +252,5 @@ class Graph:
 
 
 def _own(node: NodeProto) -> str | None:
-    """The name that an output of the network keeps."""
+    """The name of a node's output if it is an output of the network, which keeps its name."""
     return node.output[0] if node.output[0] in OUTPUTS else None

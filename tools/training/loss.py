@@ -1,4 +1,4 @@
-"""What is trained for, and how far it is from it."""
+"""The losses of training, and the figures that measure the errors."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tools.training.torn import spoil
 
 UNTRUSTED_WEIGHT = 0.5
 UNTRUSTED_CELLS = 0.05
-"""A frame with so many untrusted cells counts as torn in the figures."""
+"""A frame with more than this share of untrusted cells counts as torn in the figures."""
 LEAST_CELLS, STILL_MM = 60, 0.1
-"""Contacts of fewer cells (of 112x112) have no figures; what moved by less was not dragged."""
+"""Contacts with fewer cells (of 112x112) are not scored; contacts that moved by less count as undragged."""
 
 
 def halved(device: str) -> torch.autocast:
-    """Compute in bfloat16 where the device has it; a processor without it takes ten times as long to imitate it."""
+    """Compute in bfloat16 where the device has it; a processor without it would take ten times as long."""
     kind = torch.device(device).type
     capable = torch.cpu.get_capabilities()
     return torch.autocast(
@@ -30,7 +30,7 @@ def halved(device: str) -> torch.autocast:
 
 
 def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
-    """Height and contact logits (B, cells, cells)."""
+    """Split a network's output into height and contact logits (B, cells, cells)."""
     y = functional.pixel_shuffle(y.float(), fold)
     return y[:, 0], y[:, 1]
 
@@ -38,7 +38,7 @@ def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
 def depth_loss(
     outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor
 ) -> Tensor:
-    """Of height and its slope and the contact's outline, heavier in contact; and of what is untrusted."""
+    """Sum the losses of height and its slope (weighted higher in contact), of contact, and of untrusted cells."""
     y, odds = outputs
     found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
@@ -56,7 +56,7 @@ def depth_loss(
 
 
 def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor) -> Tensor:
-    """Of shear, heavier in contact, where the skin is seen."""
+    """Compute the loss of shear where the skin is visible, weighted higher in contact."""
     touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
     seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
     off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
@@ -64,11 +64,11 @@ def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear:
 
 
 LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "shear": shear_loss}
-"""Of `network.NETS`: what it says, its fold, and what is true."""
+"""The loss of each of `network.NETS`, from its output, its fold and the true maps."""
 
 
 def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
-    """Errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
+    """Measure the errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
     errors, relative, ious, shapes, still = [], [], [], [], []
     strange, torn, rng = [], [], np.random.default_rng(0)
     for x, height, contact, shear in _batches(data):
@@ -99,7 +99,7 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
 
 
 def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
-    """How far off the shear of contacts is, as if the disc's radius were 15 mm."""
+    """Measure the error of contacts' shear, as if the disc's radius were 15 mm."""
     off, size = [], []
     for x, _, contact, shear in _batches(data):
         with halved("cpu"):
@@ -127,10 +127,10 @@ def _batches(data: Data) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
 
 
 def touching_part(contact: Tensor) -> Tensor:
-    """Part of each coarse cell that touches, (B, 1, COARSE_CELLS, COARSE_CELLS)."""
+    """The share of each coarse cell that is in contact, (B, 1, COARSE_CELLS, COARSE_CELLS)."""
     return functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
 
 
 def share_over(values: list[Tensor], limit: float) -> float:
-    """The part of values over a limit."""
+    """The share of values above a limit."""
     return round(float(np.mean(np.array(values) > limit)), 4)

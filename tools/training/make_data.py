@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Simulate training data into shards; run again to go on where it stopped.
+"""Simulate training data into shards; after an interruption, run it again to continue.
 
 ::
 
     .venv-train/bin/python -m tools.training.make_data --out DATA --sensors 2400 [--frames 12]
         [--cluster tcp://HOST:8786]
 
-Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same command, the same data. Shards from 5000 on
-(`--first-shard 5000`) hold sensors that are uneven, from 10000 on more so, from 25000 on those of `outside`
-(`samples.UNEVEN_FROM`, `WIDE_FROM`, `OUTSIDE_FROM`).
+Shard k holds the sensors of the 24 seeds from FIRST_SEED + 24 k on, so the same command makes the same data. Shards
+from 5000 on (`--first-shard 5000`) hold uneven sensors, those from 10000 on more uneven ones, and those from 25000 on
+the sensors of `outside` (`samples.UNEVEN_FROM`, `WIDE_FROM`, `OUTSIDE_FROM`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SENSORS_PER_SHARD = 24
 
 
 def make_shard(job: tuple[int, int]) -> tuple[bytes, str]:
-    """Simulate one shard, as a file's content, and what it cost."""
+    """Simulate one shard; return the file's content and a line about the cost."""
     first_seed, frames = job
     start = time.perf_counter()
     seeds = range(first_seed, first_seed + SENSORS_PER_SHARD, VIEWS)
@@ -53,7 +53,7 @@ def make_shard(job: tuple[int, int]) -> tuple[bytes, str]:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Simulate what is not there yet."""
+    """Simulate the missing shards."""
     parser = argparse.ArgumentParser(description="Simulated training data.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sensors", type=int, default=2400)

@@ -1,4 +1,4 @@
-"""The networks: small Us; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on."""
+"""The networks: small U-Nets, whose input and output maps are folded (112x112 cells as 4 channels of 56x56: fold 2)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 HEIGHT_SCALE = 10.0
-"""The network's h is in tenths of the disc's radius: about 0 to 4."""
+"""The network gives h in tenths of the disc's radius: about 0 to 4."""
 
 DISC_MM = 15.0
-"""A typical disc's radius, to speak of mm."""
+"""A typical disc's radius, with which figures are given in mm."""
 
 KNOWN = 6
-"""Maps of `disc_map.geometry_maps`."""
+"""Number of maps from `disc_map.geometry_maps`."""
 
 COARSE_CELLS = 28
-"""Along a side of the maps of shear and of what is untrusted."""
+"""Cells along a side of the maps of shear and of untrusted cells."""
 
 
 Widths = tuple[int, int]
@@ -30,7 +30,7 @@ Widths = tuple[int, int]
 
 
 def block(inputs: int, widths: Widths) -> nn.Sequential:
-    """Two 3x3 convolutions."""
+    """Make two 3x3 convolutions, each with normalisation and ReLU."""
     layers: list[nn.Module] = []
     for channels, outputs in pairwise((inputs, *widths)):
         layers += [
@@ -42,15 +42,16 @@ def block(inputs: int, widths: Widths) -> nn.Sequential:
 
 
 def even(widths: Sequence[int]) -> tuple[list[Widths], list[Widths]]:
-    """Blocks down and up whose convolutions all have their level's width."""
+    """Give all convolutions of a level the same width; the widths of the blocks down and up."""
     return [(a, a) for a in widths], [(a, a) for a in widths[:-1]]
 
 
 class U(nn.Module):
-    """Levels down, each of half the cells, and up again.
+    """A U-Net: levels down, each with half as many cells per side, and up again.
 
-    What comes up from a level is joined to what was skipped, or (`added`, Chaurasia and Culurciello 2017) brought to
-    its width where it is small, and added: a quarter to a third less to compute.
+    The output of a lower level is joined to the skip connection. With `added` (Chaurasia and Culurciello 2017), it is
+    instead reduced to the connection's width before it is enlarged, and then added, which saves a quarter to a third
+    of the arithmetic.
     """
 
     def __init__(self, inputs: int, down: Sequence[Widths], up: Sequence[Widths], added: bool) -> None:
@@ -66,7 +67,7 @@ class U(nn.Module):
         )
 
     def levels(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """What each level has on the way down and on the way up."""
+        """Compute each level's tensors on the way down and on the way up."""
         skips: list[Tensor] = []
         for k, layer in enumerate(self.down):
             x = layer(x if k == 0 else functional.max_pool2d(x, 2))
@@ -80,10 +81,11 @@ class U(nn.Module):
 
 
 class Net(U):
-    """Depth: folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
+    """The depth network, from folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
-    In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits;
-    and the log odds that a cell shows something else than this sensor's skin, (B, 1, COARSE_CELLS, COARSE_CELLS).
+    The input holds the white of frame and reference, then the maps known for the sensor. The output holds 10 h / disc
+    radius, then contact logits; a second output holds the log odds that a cell does not show this sensor's skin,
+    (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 
     def __init__(self, fold: int, down: Sequence[Widths], up: Sequence[Widths], added: bool, cells: int) -> None:
@@ -98,7 +100,7 @@ class Net(U):
         self.foreign_head = nn.Conv2d(coarse, self.coarse_fold**2, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Run it."""
+        """Run the network."""
         skips, risen = self.levels(x)
         coarse = torch.cat((risen[self.coarse_level], skips[self.coarse_level]), 1)
         return self.head(risen[0]), functional.pixel_shuffle(self.foreign_head(coarse), self.coarse_fold)
@@ -106,7 +108,7 @@ class Net(U):
 
 @dataclass(frozen=True, slots=True)
 class ShearWidths:
-    """Widths of the network of shear: of the block at 56x56 cells, and of the blocks of both Us from 28x28 down."""
+    """Widths of the shear network: of its block at 56x56 cells, and of the blocks of both U-Nets from 28x28 down."""
 
     front: Widths
     first_down: tuple[Widths, ...]
@@ -125,12 +127,12 @@ SHEAR_WIDTHS = ShearWidths(
 
 
 class ShearNet(nn.Module):
-    """Shear: maps of 112x112 cells folded by 2, as `Net` takes them, to what the skin moved along itself.
+    """The shear network, from maps of 112x112 cells folded by 2 (as for `Net`) to the skin's motion along itself.
 
-    Out: 10 times the shear along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two Us one after the
-    other (Newell, Yang and Deng 2016): an imprint tells its shear up to whole pitches, what is around it how
-    many. One for all profiles: it is run only where somebody asks, and shares nothing with depth, which needs all of
-    its own few channels.
+    The output is 10 times the shear along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two U-Nets run in
+    series (Newell, Yang and Deng 2016), because an imprint shows its shear only up to whole pitches, and the
+    surroundings show how many pitches. One shear network serves all profiles. It runs only on request and shares
+    nothing with the depth network, which needs all of its few channels itself.
     """
 
     fold = 2
@@ -145,22 +147,22 @@ class ShearNet(nn.Module):
         self.head = nn.Conv2d(widths.second_up[0][1], 2, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Run it."""
+        """Run the network."""
         skips, risen = self.first.levels(functional.max_pool2d(self.down[0](x), 2))
         return self.head(self.second.levels(torch.cat((risen[0], skips[0]), 1))[1][0])
 
 
 NETS = ("depth", "shear")
-"""What can be trained."""
+"""The networks that `train.py` can train."""
 
 
 def make(net: str, fold: int, widths: Sequence[int], added: bool, cells: int) -> Net | ShearNet:
-    """One of `NETS`, with equal widths within each level; shear's has a shape of its own."""
+    """Make one of `NETS`, with one width for each level; the shear network has `SHEAR_WIDTHS`."""
     return Net(fold, *even(widths), added, cells) if net == "depth" else ShearNet()
 
 
 def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
-    """Make a network of the shape of some weights, and give it these."""
+    """Make a network that has the shape of these weights, and load them."""
 
     def levels(way: str) -> tuple[Widths, ...]:
         count = sum(name.startswith(f"{way}.") and name.endswith(".0.weight") for name in weights)
@@ -176,21 +178,21 @@ def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
 
 
 def averaged(state: dict[str, Any]) -> dict[str, Tensor]:
-    """The averaged weights of a checkpoint."""
+    """Return a checkpoint's averaged weights."""
     return {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
 
 
 def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
-    """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
+    """Load the averaged network of a run's checkpoint, in evaluation mode, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     arguments = state["arguments"]
     return like(averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))).eval(), state
 
 
 def grow(net: Net, narrow: dict[str, Tensor]) -> None:
-    """Give a network the weights of one of lesser or equal widths; it computes the same until it is trained.
+    """Give a network the weights of one that is at most as wide; until it is trained, it computes the same.
 
-    New channels have weights of their own but are not read by the old ones yet (Net2Net, Chen et al. 2016).
+    New channels have weights of their own, but the old channels do not read them yet (Net2Net, Chen et al. 2016).
     """
     fresh = net.state_dict()
     for name, old in narrow.items():
@@ -207,7 +209,7 @@ def grow(net: Net, narrow: dict[str, Tensor]) -> None:
         level = int(name.split(".")[1]) if name.startswith("up.") and name.split(".")[2] == "0" else None
         if level is None:
             part[: old.shape[0], : old.shape[1]] = old
-        else:  # what was skipped comes first, then what comes up
+        else:  # the skip connection's channels come first, then those from below
             skip_old = narrow[f"down.{level}.0.weight"].shape[0]
             skip_new = fresh[f"down.{level}.0.weight"].shape[0]
             part[: old.shape[0], :skip_old] = old[:, :skip_old]
@@ -217,7 +219,7 @@ def grow(net: Net, narrow: dict[str, Tensor]) -> None:
 
 
 def add_in_place_of_joining(joined: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a network that joins to begin one of the same widths that adds: the nearest that its layers can be."""
+    """Turn the weights of a network that joins its levels into those of one that adds them, as closely as possible."""
     weights = dict(joined)
     for name, both in joined.items():
         part = name.split(".")

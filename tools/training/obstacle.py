@@ -1,4 +1,4 @@
-"""`simulator.skin.solve` compiled: a training set takes a hundred thousand of them."""
+"""`simulator.skin.solve`, compiled, because a training set needs a hundred thousand solutions."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ SWEEPS = 600
 
 
 def solve(obstacle: F32, mass: F32) -> F32:
-    """As `simulator.skin.solve`, within `TOLERANCE_MM`."""
+    """Solve like `simulator.skin.solve`, within `TOLERANCE_MM`."""
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
         coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
         _refine(coarse, height)
     height[0] = height[-1] = 0
     height[:, 0] = height[:, -1] = 0
-    # Stiffness varies: that of the least would over-relax all the others.
+    # Stiffness varies, and the least stiffness would over-relax all other nodes.
     jacobi = 4 / (4 + float(np.median(mass)))
     omega = 2 / (1 + math.sqrt(1 - jacobi * jacobi))
     _relax(height, obstacle, 1 / (4 + mass), np.float32(omega), np.float32(TOLERANCE_MM * (2 - omega)))
@@ -41,7 +41,7 @@ def _refine(coarse, fine):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=True)
 def _relax(height, obstacle, gain, omega, tolerance):  # type: ignore[no-untyped-def]
-    """Projected red-black over-relaxation."""
+    """Relax by projected red-black over-relaxation."""
     rows, cols = height.shape
     for _ in range(SWEEPS):
         change = np.float32(0)

@@ -1,7 +1,7 @@
 """Sensors and presses as users have them: wide plates, soft domes, patterns that end before the rim, any camera.
 
-Most are TacTips of short pins, since most sensors that are in use are. A skin is solved once and seen by several
-sensors, which differ in print, camera and light, since the skin is what takes time.
+Most are TacTips with short pins, like most sensors in use. Each skin is solved once, because that takes the most time,
+and seen by several sensors with different prints, cameras and light.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from tools.training.shapes import random_shape
 from tools.training.varied import pin_outline, varied_print
 
 VIEWS = 3
-"""Sensors that see a skin."""
+"""Number of sensors that see each skin."""
 
 TACTIP_PART, PARTLY_PRINTED_PART, RINGED_PART, VIGNETTED_PART, PLATE_PART = 0.7, 0.5, 0.25, 0.25, 0.5
 SIZES = ((240, 320), (480, 640), (120, 160), (128, 128))
 SIZE_SHARES = (0.56, 0.12, 0.16, 0.16)
 
 CIRCLE_AT_PRINT_PART = 0.7
-"""Of sensors whose print ends before the rim, that of which the circle that is found is the print's."""
+"""Among the sensors whose print ends before the rim, the share that is calibrated with the print's circle."""
 CIRCLE_DEVIATION = 0.02
-"""Of the logarithm of the radius of a circle that somebody found."""
+"""Standard deviation of the logarithm of a found circle's radius."""
 
 Camera = Callable[[U8], U8]
-"""What becomes of a picture before anybody has it."""
+"""Processes a picture before the program receives it."""
 
 
 def soft_dome(seed: int) -> SensorModel:
-    """Draw the mechanics of a sensor: decays from a pitch to the dome, sway, a gel that keeps its volume."""
+    """Draw a sensor's mechanics: decay lengths from a pitch to the whole dome, sway, a gel that keeps its volume."""
     rng = np.random.default_rng((seed, 21))
 
     def draw(low: float, high: float) -> float:
@@ -63,14 +63,14 @@ def soft_dome(seed: int) -> SensorModel:
 
 
 def on_dome(model: SensorModel, dome: SensorModel) -> SensorModel:
-    """A sensor whose skin moves as another's does."""
+    """Give a sensor the mechanics of another sensor's skin."""
     return replace(model, **{name: getattr(dome, name) for name in (
         "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
     )})  # fmt: skip
 
 
 def printed(dome: SensorModel, seed: int) -> SensorModel:
-    """Draw print, camera and light of a sensor that has this dome."""
+    """Draw print, camera and light of a sensor with this dome."""
     rng = np.random.default_rng((seed, 22))
 
     def draw(low: float, high: float) -> float:
@@ -94,7 +94,7 @@ def printed(dome: SensorModel, seed: int) -> SensorModel:
             pin_base_radius_pitches=draw(0.18, 0.36),
             marker_radius_pitches=draw(0.33, 0.52),
         )
-    tip = draw(0.12, 0.40)  # a twentieth of the skin is white, or half of it
+    tip = draw(0.12, 0.40)  # from a twentieth to half of the skin is white
     return replace(
         tactip(model),
         pitch_mm=draw(1.4, 3.6),
@@ -123,7 +123,7 @@ class OutsideRenderer(VariedRenderer):
 
 
 def camera(rng: np.random.Generator) -> Camera:
-    """Draw a camera: most give what they see, some a picture of two grey levels."""
+    """Draw a camera: most return the picture as it is, some a picture with only two grey levels."""
     kind, level = rng.random(), float(rng.uniform(60, 130))
     part, offset = float(rng.uniform(0.06, 0.2)), float(rng.uniform(-25, -3))
     if kind < 0.7:
@@ -141,7 +141,7 @@ def camera(rng: np.random.Generator) -> Camera:
 
 
 def outside_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """A plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees; or a random object."""
+    """Draw a plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees; or a random object."""
     scale = model.skin_radius_mm / 20
     reach = 0.8 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
     target = float(rng.uniform(0.2, 6.5)) * scale
@@ -154,7 +154,7 @@ def outside_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press
 
 
 def _plate(rng: np.random.Generator, reach: float) -> Shape:
-    """Everything above a tilted plane, cut off along up to two lines."""
+    """Draw a plate: everything above a tilted plane, cut off along up to two lines."""
     tilt = math.radians(25.0) * math.sqrt(rng.uniform())
     normal = np.array((math.sin(tilt), 0.0, math.cos(tilt)))
     cuts: list[tuple[float, float, float]] = []
@@ -181,7 +181,7 @@ def _any_print(model: SensorModel, rng: np.random.Generator) -> Print:
 
 
 def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
-    """The pins and markers within a part of the visible circle."""
+    """Keep the pins and markers within a part of the visible circle."""
     most = math.sin(math.radians(model.visible_half_angle_deg)) * part
 
     def inside(chart_mm: F64) -> np.typing.NDArray[np.bool_]:
@@ -199,17 +199,17 @@ def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
 
 
 def found_circle(printed_part: float, rng: np.random.Generator) -> float:
-    """The radius of the circle that is found, as part of the visible one's.
+    """Draw the radius of the circle with which a sensor is calibrated, as part of the visible circle's.
 
-    `calibrate` finds the circle by the pattern, so where the print ends before the rim it is often the print's, and
-    what is pressed moves pins beyond it.
+    `calibrate` finds the circle by the pattern. Where the print ends before the rim, it often finds the print's circle,
+    and presses then move pins out of this circle.
     """
     part = printed_part if rng.random() < CIRCLE_AT_PRINT_PART else 1.0
     return min(1.0, part * math.exp(float(rng.normal(0, CIRCLE_DEVIATION))))
 
 
 def _leds(model: SensorModel, rng: np.random.Generator) -> np.typing.NDArray[np.float32]:
-    """LEDs in a ring at the rim of the visible circle, and what the camera's lens makes of them."""
+    """Draw LEDs in a ring at the rim of the visible circle, blurred by the camera's lens."""
     rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
     image = np.zeros(rows.shape, np.float32)
     ring, size = float(rng.uniform(0.95, 1.15)), float(rng.uniform(0.015, 0.05)) * model.disc_radius_px

@@ -1,4 +1,4 @@
-"""`simulator.truth.skin_points` compiled: a training set takes a hundred thousand maps of them."""
+"""`simulator.truth.skin_points`, compiled, because a training set needs a hundred thousand maps of points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MARCH_STEPS, REFINE_STEPS = 16, 8
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
-    """As `simulator.truth.skin_points`."""
+    """Compute the same points as `simulator.truth.skin_points`."""
     origin, along = pixel_rays(geometry, row, col)
     points = np.empty_like(origin)
     least = skin.radius_mm - float(skin.height_mm.max())
@@ -26,7 +26,7 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
 
 @numba.njit(cache=True, fastmath=True, inline="always")
 def _outside(x, y, z, height, radius, step):  # type: ignore[no-untyped-def]
-    """How far a point is outside the skin."""
+    """The distance of a point outside the skin, along its radius."""
     n = height.shape[0] // 2
     length = math.sqrt(x * x + y * y + z * z)
     k = 2 * radius / (length + z) / step

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""How much of the disc a network must see: run it on the contact's surroundings alone, beside the whole disc.
+"""Measure how much of the disc a network must see: compare the contact's surroundings alone with the whole disc.
 
 ::
 
     .venv-train/bin/python -m tools.training.region --run RUN --profile accurate
 
-The paper's five objects at three places and depths on the default sensor. The piece is the contact's box, as the
-network sees it on the whole disc, and a margin to each side, in whole cells of its coarsest level.
+The paper's five objects press the default sensor at three places and depths. The piece is the box around the contact
+that the network finds on the whole disc, plus a margin on each side, in whole cells of the network's coarsest level.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MARGINS = (1 / 28, 1 / 14, 1 / 7, 2 / 7, 5 / 14)
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all margins and print the table."""
     parser = argparse.ArgumentParser(description="A network on a part of the disc.")
     parser.add_argument("--run", type=Path, required=True)
     learned = [name for name, profile in PROFILES.items() if profile.network]
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def inputs(profile: str, fold: int) -> tuple[list[F32], Bool, float]:
-    """Maps of each press, (channels, N, N); the map's cells in the disc; mm of the network's unit."""
+    """Collect each press's maps, (channels, N, N), the map's cells in the disc, and the network's unit in mm."""
     name = SensorName.parse("default")
     sensor, calibration = name.make(), calibrated(name, 8, 0).calibration
     known: list[F32] = []
@@ -82,7 +82,10 @@ def inputs(profile: str, fold: int) -> tuple[list[F32], Bool, float]:
 
 
 def piece(net: Net, x: F32, inside: Bool, margin: int) -> tuple[float, float, int]:
-    """Part of the map that is seen, greatest error of h in the contact, cells whose contact is told otherwise."""
+    """Return the share of the map in the piece, the greatest difference of h, and the number of cells that flip.
+
+    Both compare the piece with the whole disc. A cell flips if only one of the results calls it a contact.
+    """
     height, logit = answer(net, x)
     touched = (logit > 0) & inside
     rows, cols = (at // net.fold for at in np.nonzero(touched))
@@ -100,7 +103,7 @@ def piece(net: Net, x: F32, inside: Bool, margin: int) -> tuple[float, float, in
 
 
 def answer(net: Net, x: F32) -> tuple[F32, F32]:
-    """Height and contact."""
+    """Run the network and return height and contact logits."""
     with torch.no_grad():
         maps, _ = net(torch.from_numpy(x.copy())[None])
         height, logit = functional.pixel_shuffle(maps, net.fold)[0].numpy()

@@ -1,4 +1,4 @@
-"""One simulated sensor to its training samples: random sensor, random presses, nuisances, maps."""
+"""Make the training samples of a simulated sensor: random sensor, random presses, nuisances, maps."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ TACTIP_PART, SMALL_PART, ORTHOGRAPHIC_PART, BULGING_PART = 0.12, 0.15, 0.06, 0.4
 UNLOADED_PART, RELEASED_PART, UNDRAGGED_PART, NUISANCE_PART = 0.04, 0.04, 0.3, 0.5
 
 UNEVEN_FROM = 200_000
-"""Sensors of seeds from here on also have skins of uneven stiffness, pins with a waist or a belly, and stretched
-lattices or skewed ones with one marker a cell: the network should trust no skirt, pin or lattice too much."""
+"""From this seed on, sensors also have skins with uneven stiffness, pins with a waist or a belly, and lattices that are
+stretched, or skewed with one marker per cell, so that the network trusts no skirt, pin or lattice too much."""
 
 WIDE_FROM = 300_000
-"""From here on they are more uneven still, their skins stiffen (or soften) as they give, and marks are misplaced."""
+"""From this seed on, sensors are more uneven, their skins stiffen (or soften) under load, and marks are misplaced."""
 
 VARIED_FROM = 400_000
-"""From here on they are also those of `varied`."""
+"""From this seed on, sensors also have the features of `varied`."""
 
 OTHER_FROM = 550_000
-"""From here on they are the family that evaluate.py calls "other" itself."""
+"""From this seed on, sensors belong to the family that evaluate.py calls "other"."""
 
 OUTSIDE_FROM = 650_000
-"""From here on they are those of `outside`, several to a skin."""
+"""From this seed on, sensors are those of `outside`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ class Samples:
 
 
 def training_model(seed: int) -> SensorModel:
-    """Draw a sensor: `random_model` with wider ranges, so that its own sensors lie well inside."""
+    """Draw a sensor like `random_model`, but with wider ranges, so that sensors of `random_model` lie well inside."""
     rng = np.random.default_rng((seed, 11))
     size = (240, 320) if rng.random() < SMALL_PART else (480, 640)
     base = random_model(seed, *size)
@@ -126,7 +126,7 @@ def training_model(seed: int) -> SensorModel:
 
 
 def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """Up to three objects whose deepest point is uniform up to 6.5 mm (on a skin of 20 mm)."""
+    """Draw up to three objects; their greatest depth is uniform up to 6.5 mm (on a skin of 20 mm)."""
     scale = model.skin_radius_mm / 20
     reach = 0.85 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
     target = float(rng.uniform(0.1, 6.5)) * scale
@@ -144,7 +144,7 @@ DrawPresses = Callable[[SensorModel, np.random.Generator], tuple[Press, ...]]
 
 
 def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """Drag by up to 5 mm (on a skin of 20 mm) and twist, all alike or each its own way."""
+    """Drag objects by up to 5 mm (on a skin of 20 mm) and twist them, all in the same way or each differently."""
     scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
     dragged = []
     for k, press in enumerate(presses):
@@ -161,9 +161,9 @@ def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Gen
 class Unevenness:
     """How a sensor differs from the model.
 
-    `stiffness` multiplies the foundation's over the skin's grid, and so does 1 + `hardening` h / (0.15 r); `skirt` is
-    what `with_skirt` takes. `two_scales`: none of these, but the skin of the other family; `mechanics` are how it is
-    dragged.
+    `stiffness`, over the skin's grid, multiplies the foundation's stiffness, and so does 1 + `hardening` h / (0.15 r).
+    `skirt` holds the arguments of `with_skirt`. With `two_scales`, the skin is the other family's and uses none of
+    these. `mechanics` determine how objects drag the skin.
     """
 
     stiffness: F32
@@ -175,7 +175,7 @@ class Unevenness:
 
 
 def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, varied: bool) -> Unevenness:
-    """Draw a skin of uneven stiffness, and another lattice or a stretched one, and pins with a waist or a belly."""
+    """Draw a skin with uneven stiffness, another or a stretched lattice, and pins with a waist or a belly."""
     hardening = float(rng.uniform(-0.3, 2.5)) if wide and rng.random() < 0.6 else 0.0
     if varied:
         model = varied_model(model, rng)
@@ -209,7 +209,7 @@ def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, va
 def uneven_skin(
     model: SensorModel, presses: Sequence[Press], unevenness: Unevenness, leaning_mm: F32 | None = None
 ) -> Skin:
-    """`press_skin` on a foundation of uneven stiffness."""
+    """Press a skin like `press_skin`, but on a foundation with uneven stiffness."""
     if unevenness.two_scales:
         return two_scale_skin(model, presses, leaning_mm)
     flat = undeformed(model.skin_radius_mm)
@@ -223,7 +223,7 @@ def uneven_skin(
     height = np.zeros_like(floor)
     height[window] = obstacle.solve(inside, weight)
     if unevenness.hardening:
-        # One step of the fixed point: any skirt between is a skin as good.
+        # One step towards the fixed point suffices, because any skirt on the way is as plausible.
         weight *= 1 + unevenness.hardening * np.minimum(height[window] / (0.15 * model.skin_radius_mm), 2)
         height[window] = obstacle.solve(inside, np.maximum(weight, np.float32(1e-4)))
     skin = with_skirt(Skin(model.skin_radius_mm, flat.step_mm, height, floor), *unevenness.skirt)
@@ -233,7 +233,7 @@ def uneven_skin(
 def pressed_skin(
     model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
 ) -> tuple[Skin, tuple[Press, ...]]:
-    """A skin under random objects, moved along z so that the deepest point is what was asked for, and dragged."""
+    """Press random objects into a skin, move them along z until they are about as deep as drawn, and drag them."""
     while True:
         presses = draw(model, rng)
         target = max(p.depth_mm for p in presses)
@@ -256,7 +256,7 @@ def pressed_skin(
 
 
 def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
-    """Nuisances that the daemon lets pass: other light, an aged LED, a pixel of shift, noise, small glare, dust."""
+    """Add nuisances that the daemon tolerates: other light, an aged LED, a shift by a pixel, noise, glare, dust."""
     if rng.random() < 0.6:
         image = nuisance.gain(image, float(rng.uniform(0.8, 1.2)))
     if rng.random() < 0.2:
@@ -279,19 +279,19 @@ def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
 
 
 def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
-    """Part of white in each cell, 0 to 1."""
+    """Compute the share of white in each cell, 0 to 1."""
     integrator = Integrator(Window(0, 0, *mask.shape), 0)
     white = binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px)
     return CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(white))
 
 
 def within(disc: Disc, rows: F64, cols: F64) -> Bool:
-    """Which pixels a circle holds."""
+    """Whether each pixel lies in a circle."""
     return np.asarray(np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px)
 
 
 def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
-    """Shear in disc radii at the middles of squares of 2x2 cells of the disc that was `seen`."""
+    """Compute shear in disc radii in the middle of each square of 2x2 cells of the calibrated disc `seen`."""
     grid, geometry = disc_map.map_grid(seen, N // 2), model.geometry
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)
@@ -304,7 +304,7 @@ def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
 
 
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:
-    """H in disc radii (mm over r sinθ) and contact at the middles of the cells of the disc that was `seen`."""
+    """Compute h in disc radii (mm over r sinθ) and contact in the middle of each cell of the calibrated disc `seen`."""
     grid = disc_map.map_grid(seen)
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N), N)
@@ -323,7 +323,7 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A sensor as it is calibrated: `seen` is its geometry as somebody found it, `reference` its white at rest."""
+    """A calibrated sensor: `seen` is its geometry as calibration found it, `reference` its white at rest."""
 
     renderer: Renderer
     camera: Camera
@@ -333,12 +333,12 @@ class View:
     reference: U8
 
     def white(self, image: U8) -> U8:
-        """White of a frame in each cell, 0 to 255."""
+        """Compute the white of a frame in each cell, 0 to 255."""
         return np.rint(255 * white_map(image, self.mask, self.seen.disc, self.pitch_px)).astype(np.uint8)
 
 
 def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator, circle: float = 1.0) -> View | None:
-    """Take a sensor's reference; None where it shows no pattern to calibrate on. `circle` as of `found_circle`."""
+    """Take a sensor's reference; None if it shows no pattern for calibration. `circle` comes from `found_circle`."""
     model = renderer.model
     clean = renderer.draw(undeformed(model.skin_radius_mm))
     images = [camera_of(renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(int(rng.choice((1, 3, 6))))]
@@ -361,7 +361,7 @@ def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator, 
 def random_skin(
     model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
 ) -> tuple[Skin, tuple[Press, ...]]:
-    """A skin of a frame: pressed, at rest, or as a release leaves it."""
+    """Draw the skin of a frame: pressed, at rest, or with the dent after a release."""
     kind = rng.random()
     if kind < UNLOADED_PART:
         return undeformed(model.skin_radius_mm), ()
@@ -370,7 +370,7 @@ def random_skin(
 
 
 def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng: np.random.Generator) -> Samples:
-    """What a sensor sees of skins."""
+    """Make the samples that a sensor takes of these skins."""
     model, disc = view.renderer.model, view.seen.disc
     maps, heights, contacts, shears = [], [], [], []
     for skin, presses in skins:
@@ -393,15 +393,15 @@ def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng:
 
 
 def sensor_samples(seed: int, frames: int) -> list[Samples]:
-    """What `VIEWS` sensors see of the same skins; the seeds after this one are theirs.
+    """Make the samples of `VIEWS` sensors that see the same skins; they use this seed and the following ones.
 
-    Skins are three quarters of the cost of a frame. None of those whose reference shows no pattern.
+    Skins take three quarters of the time of a frame. A sensor whose reference shows no pattern gives no samples.
     """
     return outside_samples(seed, frames) if seed >= OUTSIDE_FROM else usual_samples(seed, frames)
 
 
 def usual_samples(seed: int, frames: int) -> list[Samples]:
-    """Of all kinds before `outside`: the dome is that of the first sensor."""
+    """Make samples of the kinds before `outside`; all sensors have the first one's dome."""
     rng = np.random.default_rng((seed, 12))
     family = other_model if seed >= OTHER_FROM else training_model
     dome = family(seed)
@@ -417,7 +417,7 @@ def usual_samples(seed: int, frames: int) -> list[Samples]:
 
 
 def drawn_unevenness(model: SensorModel, seed: int, rng: np.random.Generator) -> Unevenness:
-    """Draw what the kind of sensor that a seed is of has beside its model."""
+    """Draw how a sensor of the seed's kind differs from its model."""
     if seed >= OTHER_FROM:
         renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
         return Unevenness(EVEN, 0.0, (0.0, 1.0), renderer, two_scales=True, mechanics=TURNING)
@@ -427,7 +427,7 @@ def drawn_unevenness(model: SensorModel, seed: int, rng: np.random.Generator) ->
 
 
 def outside_samples(seed: int, frames: int) -> list[Samples]:
-    """Of the kind `outside`."""
+    """Make samples of the kind `outside`."""
     rng = np.random.default_rng((seed, 12))
     dome = soft_dome(seed)
     views = []

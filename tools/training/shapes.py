@@ -1,6 +1,6 @@
-"""Random objects to train on: none of `simulator.objects`, but everything that could be like them and much that is not.
+"""Random objects for training: none of `simulator.objects`, but many objects like them and many others.
 
-Distances are exact or too small, never too large, outside, as the simulator asks.
+Outside an object, distances are exact or too small but never too large, as the simulator requires.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _norm(*components: F64) -> F64:
 
 
 def _away(rng: Rng, low: float, high: float, *taken: float) -> float:
-    """Draw a size, but none within 5 % of a test object's."""
+    """Draw a size that is not within 5 % of a test object's (`taken`)."""
     while True:
         value = float(rng.uniform(low, high))
         if all(abs(value / t - 1) > 0.05 for t in taken):
@@ -41,7 +41,7 @@ def _away(rng: Rng, low: float, high: float, *taken: float) -> float:
 
 
 def _rotation(rng: Rng, tilt_deg: float) -> F64:
-    """Turn anyhow about z, then tilt by up to `tilt_deg` in any direction."""
+    """Draw a turn by any angle about z, then a tilt by up to `tilt_deg` in any direction."""
     turn, lean = rng.uniform(0, 2 * math.pi, 2)
     tilt = math.radians(tilt_deg) * math.sqrt(rng.uniform())
 
@@ -62,7 +62,7 @@ def _stand(sdf: Sdf) -> Shape:
     x, y = (v.ravel() for v in np.meshgrid(axis, axis))
     z = np.full(x.shape, -40.0)
     for _ in range(48):
-        low = z < float(z.min()) + 6.0  # only what may still be the lowest
+        low = z < float(z.min()) + 6.0  # only columns that may still contain the lowest point
         d = sdf(np.stack((x[low], y[low], z[low]), axis=1))
         z[low] += np.maximum(d, 0)
         if float(d.max()) < 1e-3:
@@ -95,7 +95,7 @@ def _ellipse(a: float, b: float) -> Outline:
 
 
 def _convex(rng: Rng, corners: int, radius: float) -> Outline:
-    """Half planes at roughly even angles."""
+    """Intersect half planes at roughly even angles."""
     angles = (np.arange(corners) + rng.uniform(-0.3, 0.3, corners)) * (2 * math.pi / corners)
     reach = radius * rng.uniform(0.6, 1.0, corners) if rng.random() < 0.6 else np.full(corners, radius)
     return lambda x, y: np.max(
@@ -203,7 +203,7 @@ def _torus(rng: Rng) -> Sdf:
 
 
 def _box(rng: Rng) -> Sdf:
-    """A box that stands anyhow: faces, edges, corners."""
+    """Draw a box in any orientation, so that a face, an edge or a corner points down."""
     half, rounding = rng.uniform(2.0, 10.0, 3), float(rng.uniform(0.1, 1.0))
 
     def sdf(p: F64) -> F64:
@@ -215,7 +215,7 @@ def _box(rng: Rng) -> Sdf:
 
 
 def _cone(rng: Rng) -> Sdf:
-    """A cone or a pyramid, its point down and rounded."""
+    """Draw a cone or a pyramid with a rounded point, which points down."""
     angle, rounding = math.radians(rng.uniform(35, 70)), float(rng.uniform(0.2, 2.0))
     sides = int(rng.choice((0, 2, 3, 4, 5)))
     s, c = math.sin(angle), math.cos(angle)
@@ -228,18 +228,18 @@ def _cone(rng: Rng) -> Sdf:
             rho = np.max([math.cos(k * turn) * p[:, 0] + math.sin(k * turn) * p[:, 1] for k in range(sides)], axis=0)
             if sides == 2:
                 rho = np.maximum(rho, (np.abs(p[:, 1]) - 9) / max(c, 0.1))
-        # The half angle is measured from the axis; inside is where c·rho < s·z.
+        # The half angle is measured from the axis; points with c·rho < s·z are inside.
         return np.asarray(np.maximum(c * rho - s * p[:, 2], p[:, 2] - 20) - rounding)
 
     return _turned(sdf, _rotation(rng, 20.0))
 
 
 def _bumpy(rng: Rng) -> Sdf:
-    """A plate with waves and bumps."""
+    """Draw a round plate with bumps and dents."""
     radius = float(rng.uniform(4.0, 14.0))
     n = int(rng.integers(1, 6))
     centre, width, top = rng.uniform(-7, 7, (n, 2)), rng.uniform(1.0, 4.0, n), rng.uniform(-2.5, 2.5, n)
-    steep = float(np.sum(np.abs(top) / width)) * 0.61  # of a Gaussian at its steepest
+    steep = float(np.sum(np.abs(top) / width)) * 0.61  # the greatest slopes of the Gaussians
     slope = 1 / math.sqrt(1 + min(steep, 4.0) ** 2)
 
     def sdf(p: F64) -> F64:

@@ -1,4 +1,4 @@
-"""The shipped weights as a network that can be trained on: their batch normalisation is made again from frames."""
+"""Load the shipped weights for further training: frames restore the batch normalisation, which export had folded."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:
-    """Give a network the shipped weights; it computes the same.
+    """Give a network the shipped weights, so that it computes the same as the shipped network.
 
     Parameters
     ----------
     net : Net or ShearNet
     name : str
-        Of the weights.
+        Name of the weights.
     inputs : list of Tensor
-        Frames as the network takes them: what each normalisation then has for mean and spread is theirs.
+        Frames as the network takes them, which determine each normalisation's mean and variance.
     """
     frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
     named = {key.removeprefix("rest."): frame.pop(key) for key in list(frame) if key.startswith("rest.")}
@@ -39,20 +39,20 @@ def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:
             norm.reset_running_stats()
             norm.weight.copy_(torch.full_like(bias, (1 + norm.eps) ** 0.5))
             norm.bias.copy_(bias)
-        for conv, norm in pairs:  # those before it compute what they will
+        for conv, norm in pairs:  # all layers before this one are final already
             _measured(net, conv, norm, inputs)
     net.train()
 
 
 def _blocks(net: Net | ShearNet) -> list[nn.Module]:
-    """The blocks in the order in which they are run."""
+    """List the blocks in the order in which the network runs them."""
     us = [net] if isinstance(net, Net) else [net.first, net.second]
     before = [] if isinstance(net, Net) else list(net.down)
     return before + [part for u in us for part in (*u.down, *reversed(u.up))]
 
 
 def _measured(net: Net | ShearNet, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
-    """Set a normalisation's statistics to what its convolution gives, and its scale and shift to undo them."""
+    """Set a normalisation's statistics to those of its convolution's output, and its scale and shift to undo them."""
     seen: list[Tensor] = []
     hook = conv.register_forward_hook(lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1)))
     for x in inputs:

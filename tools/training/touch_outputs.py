@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Write what pools the activations that touch models look at, ``NAME.touch.onnx``, for the shipped integer graphs.
+"""Write graphs that pool the shipped integer graphs' activations for touch models, ``NAME.touch.onnx``.
 
 ::
 
     .venv-train/bin/python -m tools.training.touch_outputs
 
-The file is a graph of some nodes and one output, ``features``: put behind ``NAME.integer.onnx`` it is one graph. The
-activations are those of the second and fourth convolution, averaged over 7 x 7 places: early ones, which know any
-skin; deep ones know the simulated skins that the networks were trained on.
+The file is a graph with some nodes and one output, ``features``; appended to ``NAME.integer.onnx``, it gives one graph.
+The activations are those of the second and fourth convolution, averaged over 7 x 7 places. These early activations suit
+any skin, whereas deep ones suit only the simulated skins that the networks were trained on.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tacshade_edge.inference.network import WEIGHTS, in_integers
 NAMES = ("fast", "balanced", "accurate", "shear")
 PLACES = 7
 LAYERS = (0, 2)
-"""Of the integer convolutions; the first of all is float."""
+"""Indices among the integer convolutions; the network's first convolution is float."""
 
 
 def pooling(name: str) -> onnx.ModelProto:
-    """The nodes behind a network's integer graph."""
+    """Make the nodes that follow a network's integer graph."""
     path = WEIGHTS / f"{name}.onnx"
     model = onnx.ModelProto()
     model.ParseFromString(in_integers(path, path.read_bytes()))
@@ -64,7 +64,7 @@ def _sides(model: onnx.ModelProto, tensors: list[str]) -> list[int]:
 
 
 def main() -> None:
-    """Write all."""
+    """Write the files of all networks."""
     for name in NAMES:
         out = WEIGHTS / f"{name}.touch.onnx"
         out.write_bytes(pooling(name).SerializeToString())

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Train the network on the shards of make_data.py; run again to go on from the last checkpoint.
+"""Train the network on the shards of make_data.py; run it again to continue from the last checkpoint.
 
 ::
 
     .venv-train/bin/python -m tools.training.train --data DATA --out RUN [--fold 4 --widths 16 32 48] [--steps 20000]
 
 The first two shards of each kind of sensor are never trained on; they give the figures of each report. A batch depends
-on the seed and its number alone, so an interrupted run goes on with the batches that it would have seen (while the
+only on the seed and its number, so an interrupted run continues with the batches that it would have seen (while the
 shards are the same).
 """
 
@@ -36,7 +36,7 @@ from tools.training.torn import spoil
 
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 4
-"""Shards made meanwhile are taken in when they are so many."""
+"""The run loads new shards when at least this many exist."""
 TORN_PART = 0.12
 WARM_STEPS = 500
 
@@ -74,7 +74,7 @@ def arguments() -> argparse.Namespace:
 
 
 class Run:
-    """A training: its networks, data and step, and the checkpoint that it goes on from."""
+    """A training run: its networks, data and step, and the checkpoint from which it continues."""
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
@@ -103,12 +103,12 @@ class Run:
             self.step = state["step"]
 
     def _take(self, kind: str) -> None:
-        """Load what is trained on of a kind; `drawn` ends at 1."""
+        """Load the frames of a kind to train on; `drawn` holds their cumulative chances, which end at 1."""
         if kind not in self.check:
             self.check[kind] = self._load(self.shards[kind][:VALIDATION_SHARDS])
         self.data[kind] = self._load(self.shards[kind][VALIDATION_SHARDS:])
         drawn = self.data[kind]
-        # Users press sensors of their own deep and drag them far, so none of those frames is drawn less often.
+        # Users press their own sensors deep and drag them far, so all these frames are equally likely.
         total = np.cumsum(np.ones(len(drawn.frame)) if kind == "outside" else drawn.chances())
         self.drawn[kind] = total / total[-1]
 
@@ -116,7 +116,7 @@ class Run:
         return load(paths, self.args.fold, self.args.cells)
 
     def _begin(self, net: Net | ShearNet) -> Net | ShearNet:
-        """The network with the weights that it begins with; those of a pruned one bring their own shape."""
+        """Return the network with its initial weights; a pruned network brings its own shape."""
         if self.args.shipped:
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
             shipped(net, self.args.shipped, some)
@@ -132,7 +132,7 @@ class Run:
         return net
 
     def batch(self, step: int) -> Batch:
-        """White and what is known, height, contact, shear, and what is untrusted, of a step."""
+        """Make a step's batch: network inputs, height, contact, shear, and untrusted cells."""
         args, rng = self.args, np.random.default_rng((self.args.seed, step))
         share = np.array([args.shares[KINDS.index(kind)] for kind in self.data])
         counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
@@ -149,7 +149,7 @@ class Run:
         return x, height, contact, shear, untrusted
 
     def batches(self, pool: ThreadPoolExecutor) -> Iterator[Batch]:
-        """Those of all steps that are left; some are made ahead."""
+        """Yield the batches of all remaining steps; threads make some of them ahead."""
         ahead: list[Future[Batch]] = []
         for step in range(self.step, self.args.steps):
             while len(ahead) < 2 * pool._max_workers and step + len(ahead) < self.args.steps:
@@ -158,7 +158,7 @@ class Run:
             yield tuple(tensor.to(self.args.device) for tensor in made)
 
     def learn(self, made: Batch) -> float:
-        """Take one step; the loss."""
+        """Take one step and return the loss."""
         args = self.args
         warm = min(1.0, (self.step + 1) / WARM_STEPS)
         rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * self.step / args.steps)) + 1e-6
@@ -177,7 +177,7 @@ class Run:
         return float(loss.detach())
 
     def report(self, loss: float, s_per_step: float) -> None:
-        """Print the figures of the averaged network, and keep them."""
+        """Print the figures of the averaged network and append them to a file."""
         row = {"step": self.step, "loss": round(loss, 4)}
         averaged = copy.deepcopy(self.mean.module).cpu().eval()
         with torch.no_grad():
@@ -188,7 +188,7 @@ class Run:
             file.write(json.dumps(row) + "\n")
 
     def save(self) -> None:
-        """Write the checkpoint, whole or not at all."""
+        """Write the checkpoint, completely or not at all."""
         state = {
             "net": self.net.state_dict(),
             "mean": self.mean.state_dict(),
@@ -201,7 +201,7 @@ class Run:
         os.replace(self.checkpoint.with_suffix(".part"), self.checkpoint)
 
     def take_in(self) -> None:
-        """Load shards that were made meanwhile."""
+        """Load shards that were made in the meantime."""
         for kind, paths in shards_in(self.args.data).items():
             more = NEW_SHARDS if kind in self.shards else VALIDATION_SHARDS + 1
             if len(paths) >= len(self.shards.get(kind, ())) + more:
@@ -218,12 +218,12 @@ def keep_norms(net: nn.Module) -> None:
 
 
 def _fits(old: Tensor, new: Tensor) -> bool:
-    """Whether weights are of a part of others."""
+    """Whether weights fit into others in every dimension."""
     return old.dim() == new.dim() and all(a <= b for a, b in zip(old.shape, new.shape, strict=True))
 
 
 def main() -> None:
-    """Train."""
+    """Train to the last step."""
     args = arguments()
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)

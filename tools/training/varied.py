@@ -1,4 +1,4 @@
-"""Sensors that are hardly the simulator's: pins and markers laid out of line, pins of any outline, other skirts."""
+"""Sensors unlike the simulator's usual ones: irregular pins and markers, pins with any outline, other skirts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
 def varied_model(model: SensorModel, rng: np.random.Generator) -> SensorModel:
-    """Widen what the print's features look like."""
+    """Draw the sizes of pins and markers from wider ranges."""
 
     def draw(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
@@ -37,7 +37,7 @@ def varied_model(model: SensorModel, rng: np.random.Generator) -> SensorModel:
 
 
 def varied_print(model: SensorModel, rng: np.random.Generator) -> Print:
-    """Lay pins on a spiral of seeds, on rings, on a skewed lattice or at random, bend that, and markers between."""
+    """Place pins on a spiral, on rings, on a skewed lattice or at random, bend the pattern, and add markers between."""
     p, reach = model.pitch_mm, reach_mm(model) + 2 * model.pitch_mm
     count = int((reach / p) ** 2 * math.pi * float(rng.uniform(0.95, 1.15)))
     kind = rng.integers(4)
@@ -70,12 +70,12 @@ def varied_print(model: SensorModel, rng: np.random.Generator) -> Print:
 
 
 def pin_outline(rng: np.random.Generator) -> PinProfile:
-    """Draw a pin of up to three rings, with steps or without; never a bare disc on a stem."""
+    """Draw a pin with up to three rings, with or without steps, but never a bare disc on a stem."""
     heights = np.sort(rng.uniform(0.1, 0.9, int(rng.integers(0, 4))))
     rings = []
     for height in heights:
         part = float(rng.uniform(0.55, 1.3))
-        if rng.random() < 0.3:  # a collar or a neck: the radius is the base's or the tip's, too soon or too late
+        if rng.random() < 0.3:  # a collar or a neck: a radius of the base or the tip at another height
             of_tip = float(rng.random() < 0.5)
             rings.append((float(height), part * (1 - of_tip), part * of_tip))
         else:
@@ -84,7 +84,7 @@ def pin_outline(rng: np.random.Generator) -> PinProfile:
 
 
 def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
-    """Spread the skirt: part of h is its mean over some mm around, as a soft depth drags its surroundings."""
+    """Spread the skirt: blur part of h over some mm, because a soft depth pulls its surroundings down."""
     if part == 0 or not skin.height_mm.any():
         return skin
     spread = cv2.GaussianBlur(skin.height_mm, (0, 0), reach_mm / skin.step_mm, borderType=cv2.BORDER_CONSTANT)
@@ -93,7 +93,7 @@ def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
 
 
 def _between(pins: F64, halves: bool) -> F64:
-    """Find places for markers: in each triangle of neighbours, or where two such meet along their longest side."""
+    """Place markers in each triangle of neighbours, or where two triangles meet along their longest side."""
     corners = pins[Delaunay(pins).simplices]
     if not halves:
         return np.asarray(corners.mean(axis=1))
@@ -104,7 +104,7 @@ def _between(pins: F64, halves: bool) -> F64:
 
 
 def _apart(points: F64, reach: float) -> F64:
-    """Move each point some times to the middle of its neighbours."""
+    """Move each point repeatedly to the middle of its neighbours."""
     for _ in range(8):
         mesh = Delaunay(points)
         start, neighbours = mesh.vertex_neighbor_vertices

@@ -1,1 +1,1 @@
-"""A data set of LeRobot from a running sensor, as a camera of its own kind."""
+"""Record a LeRobot data set from a running sensor, which LeRobot reads as a camera."""

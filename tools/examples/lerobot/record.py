@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Record a sensor as a camera of LeRobot, open the data set with LeRobot's loader, compare every pixel.
+"""Record a sensor as a LeRobot camera, open the data set with LeRobot's loader, and compare every pixel.
 
 ::
 
     python tools/examples/lerobot/record.py localhost:1883 left-index [--seconds 20] [--root touch]
 
-For the Python that has LeRobot, tacshade-client and lerobot_camera_tacshade, and not this package.
+Run it with a Python that has LeRobot, tacshade-client and lerobot_camera_tacshade; it does not need this package.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FPS, WAIT_S = 20, 20
 
 
 def main() -> int:
-    """Record, read back, print what was found as JSON."""
+    """Record, read the data set back, and print the comparison as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("broker")
     parser.add_argument("sensor")
@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("--root", type=Path, default=Path("touch"), help="a folder that is not there yet")
     args = parser.parse_args()
     register_third_party_plugins()
-    # As LeRobot's command line makes it of --robot.cameras='{touch: {type: tacshade, ...}}'.
+    # LeRobot's command line makes the same from --robot.cameras='{touch: {type: tacshade, ...}}'.
     config = CameraConfig.get_choice_class("tacshade")(broker=args.broker, sensor=args.sensor)
     camera = make_cameras_from_configs({"touch": config})["touch"]
     shape = (camera.height, camera.width, 3)
@@ -65,7 +65,7 @@ def main() -> int:
 
 
 def compared(name: str, root: Path, seen: list[np.ndarray]) -> dict[str, object]:
-    """What LeRobot's loader gives, against what was recorded."""
+    """Compare the frames from LeRobot's loader with the recorded ones."""
     from lerobot_camera_tacshade import to_mm
 
     opened = LeRobotDataset(name, root=root)

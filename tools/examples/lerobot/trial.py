@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""`record` against a daemon on the simulated sensor, through mosquitto.
+"""Run `record` with a daemon on the simulated sensor, through mosquitto.
 
 ::
 
     .venv/bin/python -m tools.examples.lerobot.trial --python ENV/bin/python [--seconds 20]
 
-ENV is LeRobot's own environment, with `pip install ./client ./client_lerobot`: it pins another OpenCV than ours.
+ENV is a separate environment for LeRobot, which pins another OpenCV than this project; it also needs
+`pip install ./client ./client_lerobot`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def main() -> int:
-    """Calibrate the simulated sensor, run its daemon, record."""
+    """Calibrate the simulated sensor, run its daemon, and record."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--python", type=Path, required=True, help="that has LeRobot and the plugin")
     parser.add_argument("--seconds", type=float, default=20.0)

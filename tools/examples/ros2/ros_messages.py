@@ -1,6 +1,6 @@
-"""A sensor's messages as ROS 2's: lengths in metres (REP 103), frames of the sensor's own, stamps in Unix time.
+"""Convert a sensor's messages to ROS 2: lengths in metres (REP 103), frames named after the sensor, Unix time stamps.
 
-Of no particular ROS: whoever calls brings the message types, so that they can be made where ROS is not.
+The module imports no ROS: the caller supplies the message types, so it can make messages without ROS.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ from tacshade_client import CloudMessage, HeightMessage, TouchNumbers
 from tacshade_client.rigid import shift, turn
 
 M_PER_MM = 0.001
-FLOAT32, UINT16 = 7, 4  # of sensor_msgs/PointField
+FLOAT32, UINT16 = 7, 4  # types of sensor_msgs/PointField
 FORCE = ("force_x_n", "force_y_n", "force_z_n")
 TORQUE = ("torque_x_nmm", "torque_y_nmm", "torque_z_nmm")
 POINT = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 
 class Ros(Protocol):
-    """The message types of a ROS.
+    """The message types of a ROS installation.
 
     Attributes
     ----------
     octets : callable
-        Bytes as a ``uint8[]`` field takes them.
+        Converts bytes to the value of a ``uint8[]`` field.
     """
 
     @property
     def octets(self) -> Callable[[bytes], Any]:
-        """Of bytes."""
+        """The function that converts bytes."""
 
     def make(self, name: str, /, **fields: Any) -> Any:
-        """A message of a type such as ``sensor_msgs/msg/Image``."""
+        """Make a message of a type such as ``sensor_msgs/msg/Image``."""
 
 
 def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
-    """``sensor_msgs/Image``, 32FC1: h of each cell in m, positive inwards; NaN outside the disc."""
+    """Make a ``sensor_msgs/Image``, 32FC1: h of each cell in m, positive inwards; NaN outside the disc."""
     rows, cols = message.height_mm.shape
     return ros.make(
         "sensor_msgs/msg/Image",
@@ -53,7 +53,7 @@ def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
 
 
 def cloud(ros: Ros, message: CloudMessage, sensor_id: str) -> Any:
-    """``sensor_msgs/PointCloud2``: x, y, z in m, and the number of each point's object, from 1."""
+    """Make a ``sensor_msgs/PointCloud2``: x, y, z in m, and the number of each point's object, from 1."""
     points = np.empty(len(message.labels), POINT)
     points["xyz"], points["object"] = message.points_mm * np.float32(M_PER_MM), message.labels
     layout = (("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("object", 12, UINT16))
@@ -75,7 +75,7 @@ def cloud(ros: Ros, message: CloudMessage, sensor_id: str) -> Any:
 
 
 def transform(ros: Ros, values: tuple[float, ...], wall_ns: int, parent: str, child: str) -> Any:
-    """``tf2_msgs/TFMessage`` of one transform: x, y, z in mm, quaternion w, x, y, z."""
+    """Make a ``tf2_msgs/TFMessage`` with one transform, given as x, y, z in mm and quaternion w, x, y, z."""
     x, y, z, qw, qx, qy, qz = values
     return ros.make(
         "tf2_msgs/msg/TFMessage",
@@ -95,7 +95,7 @@ def transform(ros: Ros, values: tuple[float, ...], wall_ns: int, parent: str, ch
 
 
 def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
-    """``geometry_msgs/WrenchStamped``: force in N, torque in N·m, 0 along what was not labelled; None unless known."""
+    """Make a ``geometry_msgs/WrenchStamped``: force in N, torque in N·m, 0 in unlabelled axes; None if unknown."""
     if (values := _known(touch, (*FORCE, *TORQUE), needed=())) is None:
         return None
     force, torque = values[:3], [value * M_PER_MM for value in values[3:]]
@@ -107,10 +107,10 @@ def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
 
 
 def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str) -> Any | None:
-    """``geometry_msgs/PoseStamped`` of the touched surface, by depth, tilt and twist; None unless they are known.
+    """Make a ``geometry_msgs/PoseStamped`` of the touched surface from depth, tilt and twist; None if unknown.
 
-    It lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z, then tilted about x, then y.
-    Twist, x and y are 0 where they were not labelled.
+    The surface lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z, then tilted about x,
+    then y. Twist, x and y are 0 if the labels lack them.
     """
     names = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "twist_deg", "x_mm", "y_mm")
     if (values := _known(touch, names, needed=names[:3])) is None:
@@ -133,7 +133,7 @@ def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str
 
 
 def _known(touch: TouchNumbers, names: Sequence[str], needed: Sequence[str]) -> list[float] | None:
-    """Values of a touch, 0 of what was not labelled; None where one is not known or what is needed was not labelled."""
+    """Read numbers of a touch, 0 for unlabelled ones; None if one is unknown or a needed one was not labelled."""
     given = touch.touch or {}
     values = [given.get(name, 0.0) for name in names]
     known = [value for value in values if value is not None]
@@ -150,7 +150,7 @@ def _xyz(values: Sequence[float]) -> dict[str, float]:
 
 
 def header(ros: Ros, wall_ns: int, frame_id: str) -> Any:
-    """``std_msgs/Header``."""
+    """Make a ``std_msgs/Header``."""
     sec, nanosec = divmod(wall_ns, 1_000_000_000)
     stamp = ros.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return ros.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)

@@ -1,4 +1,4 @@
-"""An example node: hands on an MQTT broker as ROS 2 topics; see docs/how-to/integrations.md for what of it was run.
+"""An example node that publishes a sensor on an MQTT broker as ROS 2 topics; the node itself never ran.
 
 source /opt/ros/jazzy/setup.bash
 python3 -m tools.examples.ros2.tacshade_node localhost:1883 left-index
@@ -23,21 +23,21 @@ POLL_S = 0.1
 
 
 class Ros:
-    """The message types of the ROS that runs this."""
+    """The message types of the installed ROS."""
 
     @staticmethod
     def octets(data: bytes) -> array.array[int]:
-        """As rclpy takes them without looking at each."""
+        """Convert bytes to a type that rclpy accepts without checking each element."""
         return array.array("B", data)
 
     @staticmethod
     def make(name: str, /, **fields: Any) -> Any:
-        """A message."""
+        """Make a message."""
         return get_message(name)(**fields)
 
 
 def main() -> None:
-    """Until Ctrl-C. What no node subscribes to is not asked of the hand."""
+    """Run until Ctrl-C; subscribe over MQTT only to topics that have a ROS subscriber."""
     broker, sensor_id = sys.argv[1:]
     logging.basicConfig(level=logging.INFO)
     rclpy.init()

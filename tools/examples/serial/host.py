@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class Port(Protocol):
-    """As ``serial.Serial(device, 115200, timeout=0.1)`` of pyserial."""
+    """The methods of pyserial's ``serial.Serial(device, 115200, timeout=0.1)`` that `Daemon` uses."""
 
     def write(self, data: bytes, /) -> object: ...
 
@@ -22,7 +22,7 @@ def seal(text: str) -> bytes:
 
 
 class Daemon:
-    """The daemon at the other end; `boot` is 1 to 16 letters and digits, new at each start of the robot."""
+    """The daemon at the other end; `boot` has 1 to 16 letters and digits and changes whenever the robot starts."""
 
     def __init__(self, port: Port, boot: str) -> None:
         self.port = port
@@ -31,7 +31,7 @@ class Daemon:
         self.command(f"HELLO 1 crc=req boot={boot}")
 
     def command(self, text: str, seconds: float = 10.0) -> list[str]:
-        """Return the words of the answer after OK and its number. A line may be resent: it is executed once."""
+        """Return the words of the answer after OK and its number. The line may be resent, but it is executed once."""
         self.seq = (self.seq + 1) % 65536
         give_up = time.monotonic() + seconds
         while time.monotonic() < give_up:

@@ -1,1 +1,1 @@
-"""Loops closed on a touch: follow a surface, follow an edge."""
+"""Control loops that follow a surface or an edge by touch."""

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Both loops in real time, by speed and added latency, against the truth.
+"""Run both loops in real time at several speeds and added latencies, and compare them with the truth.
 
 ::
 
     .venv/bin/python -m tools.examples.servo.bench [--scene surface edge] [--speeds 5 10 20] [--delays 0 20 50 100]
 
-Each run is a mosquitto, a daemon on 60 frames a second of the simulated sensor (`tools.testbed.servo`), and a loop as a
-user starts it. The robot obeys after 20 ms and the added latency, and its velocity follows with a time constant of
-30 ms. The touch model is learnt before by ``calibrate --labels`` from frames of a robot that presses a flat box.
+Each run starts mosquitto, a daemon on 60 frames a second from the simulated sensor (`tools.testbed.servo`), and a loop
+as a user starts it. The robot obeys after 20 ms plus the added latency, and its velocity follows with a time constant
+of 30 ms. Before that, ``calibrate --labels`` learns the touch model from frames of a robot that presses a flat box.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ class Run:
     Attributes
     ----------
     labelled : bool
-        Whether the touch is by a model learnt from labels, or without one by height map and shear.
+        Whether the touch comes from a model learnt from labels, or else from height map and shear.
     worst : mapping of str to float
         Greatest error of each quantity.
     touches_s, age_ms : float
-        Touches that the loop took a second, and their age when it did.
+        Touches per second that the loop used, and their age at that moment.
     lost : float
-        Part of the frames that the sensor's stand-in was too slow to draw.
+        Share of the frames that the simulated camera was too slow to draw.
     """
 
     scene: str
@@ -92,7 +92,7 @@ class Run:
 
 
 def calibrate(folder: Path, name: str, place: Scene, *, labelled: bool) -> Path:
-    """References and labelled frames, or references alone, to a calibration by the command."""
+    """Draw references, and labelled frames if `labelled`, and run ``calibrate`` on them."""
     rng, draws = np.random.default_rng(5), Renderer(MODEL)
     images = folder / f"{name}{'' if labelled else '_alone'}"
     images.mkdir()
@@ -120,7 +120,7 @@ def calibrate(folder: Path, name: str, place: Scene, *, labelled: bool) -> Path:
 
 @contextmanager
 def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path) -> Iterator[tuple[int, int]]:
-    """A broker and a daemon whose camera is the robot's; the ports of broker and robot."""
+    """Run a broker and a daemon whose camera moves with the robot; yield the ports of broker and robot."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         robot = int(probe.getsockname()[1])
@@ -149,7 +149,7 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
 
 
 def once(folder: Path, calibration: Path, name: str, speed_mm_s: float, delay_ms: float, *, labelled: bool) -> Run:
-    """One loop, and how far off it was."""
+    """Run one loop and measure its errors."""
     log = folder / "truth.csv"
     log.unlink(missing_ok=True)
     with sensor(folder, calibration, name, OWN_DELAY_S + delay_ms / 1e3, log) as (port, robot):
@@ -185,7 +185,7 @@ def once(folder: Path, calibration: Path, name: str, speed_mm_s: float, delay_ms
 
 
 def table(runs: list[Run]) -> str:
-    """One of each scene."""
+    """Write a table for each scene, with and without labels."""
     parts = []
     for name, labelled in dict.fromkeys((run.scene, run.labelled) for run in runs):
         some = [run for run in runs if (run.scene, run.labelled) == (name, labelled)]
@@ -207,7 +207,7 @@ def table(runs: list[Run]) -> str:
 
 
 def main() -> int:
-    """Calibrate, run, print."""
+    """Calibrate, run the loops, and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scene", nargs="+", choices=tuple(RANGES), default=list(RANGES))
     parser.add_argument("--speeds", nargs="+", type=float, default=[5.0, 10.0, 20.0], metavar="MM_S")

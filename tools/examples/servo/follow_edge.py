@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Follow the edge of a plate at a set depth, the edge under the tip and along the sensor's x.
+"""Follow a plate's edge at a set depth, and keep the edge under the tip and along the sensor's x.
 
 ::
 
     .venv/bin/python -m tools.examples.servo.follow_edge localhost:1883 left-index --robot 192.168.1.5:30000
 
-It needs labels of edges: `y_mm`, where the edge crosses the sensor's y axis, and `edge_deg`, the edge's direction, from
-x towards y. Begin with the tip on the edge, at right angles to the plate, with the edge within 25° of the sensor's x.
-Read README.md before a real robot moves.
+The program needs labels of edges: `y_mm`, where the edge crosses the sensor's y axis, and `edge_deg`, the edge's
+direction from x towards y. Begin with the tip on the edge, at right angles to the plate, with the edge within 25° of
+the sensor's x. Read README.md before a real robot moves.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
 
 
 class FollowEdge:
-    """From a touch to a velocity.
+    """Computes the robot's velocity from a touch.
 
     Parameters
     ----------
     depth_mm : float
-        To keep.
+        Depth to keep.
     speed_mm_s : float
-        Along the sensor's x.
+        Speed along the sensor's x.
     """
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
@@ -39,7 +39,7 @@ class FollowEdge:
         self._down, self._across, self._about_z = Loop(LIMIT_MM_S), Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S)
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Go on along the edge, to it along y, to the depth along z; turn as the edge is turned."""
+        """Move along the edge, towards the edge along y and the depth along z, and turn with the edge."""
         along = self._speed_mm_s * math.tan(math.radians(touch["edge_deg"]))
         down = self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
         across = along + self._across.velocity(touch["y_mm"], dt_s)
@@ -48,7 +48,7 @@ class FollowEdge:
 
 
 def main() -> int:
-    """Follow until Ctrl-C, or for a time."""
+    """Follow the edge until Ctrl-C, or for ``--seconds``."""
     args = options(__doc__).parse_args()
     return run(args, NAMES, FollowEdge(args.depth_mm, args.speed_mm_s).velocity)
 

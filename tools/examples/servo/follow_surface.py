@@ -5,7 +5,7 @@
 
     .venv/bin/python -m tools.examples.servo.follow_surface localhost:1883 left-index --robot 192.168.1.5:30000
 
-Begin with the sensor on the surface; it moves along its own x. Read README.md before a real robot moves.
+Begin with the sensor on the surface; the sensor moves along its own x. Read README.md before a real robot moves.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
 
 
 class FollowSurface:
-    """From a touch to a velocity.
+    """Computes the robot's velocity from a touch.
 
     Parameters
     ----------
     depth_mm : float
-        To keep.
+        Depth to keep.
     speed_mm_s : float
-        Along the sensor's x.
+        Speed along the sensor's x.
     """
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
@@ -37,7 +37,7 @@ class FollowSurface:
         self._down, self._about_x, self._about_y = Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S), Loop(LIMIT_DEG_S)
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Go on along the surface, to the depth along z; turn as the surface is tilted."""
+        """Move along the surface and towards the depth along z, and turn with the surface's tilt."""
         along = -self._speed_mm_s * math.tan(math.radians(touch["tilt_y_deg"]))
         down = along + self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
         about_x = self._about_x.velocity(touch["tilt_x_deg"], dt_s)
@@ -46,7 +46,7 @@ class FollowSurface:
 
 
 def main() -> int:
-    """Follow until Ctrl-C, or for a time."""
+    """Follow the surface until Ctrl-C, or for ``--seconds``."""
     args = options(__doc__).parse_args()
     return run(args, NAMES, FollowSurface(args.depth_mm, args.speed_mm_s).velocity)
 

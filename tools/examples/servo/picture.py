@@ -1,4 +1,4 @@
-"""The plot of the bench; matplotlib is imported only here, and only to draw."""
+"""The plot of `bench`; only drawing it imports matplotlib."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _COLOURS = ("#3d6fb4", "#4a9c5d", "#e4572e", "#8a5fb0")
 
 
 def draw(runs: Sequence[Measured]) -> bytes:
-    """A PNG: a row for each scene, error of each quantity against added latency, a line for each speed."""
+    """Draw a PNG: a row per scene, each quantity's error against added latency, a line per speed."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

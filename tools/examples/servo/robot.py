@@ -1,7 +1,7 @@
-"""A robot that takes velocities: put yours here.
+"""The interface to a robot that takes velocities: put your robot here.
 
-This one sends ``vx vy vz wx wy wz`` by UDP, mm/s and °/s of the sensor's tip, along and about the sensor's axes. The
-sensor's frame must be the robot's tool frame, moved along z to the tip.
+This one sends ``vx vy vz wx wy wz`` by UDP, in mm/s and °/s of the sensor's tip, along and about the sensor's axes. The
+robot's tool frame must be the sensor frame, moved along z to the tip.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from types import TracebackType
 
 STOP_S = 0.1
-"""Without a touch for so long the robot stops."""
+"""The robot stops after this time without a touch."""
 STANDSTILL = (0.0,) * 6
 
 
 class Robot:
-    """Moves while it is told to again and again, and stops when it was not for `STOP_S`, or when it is left.
+    """Moves as long as `move` is called, and stops `STOP_S` after the last call or at the end of the context.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Robot:
         self._line.close()
 
     def move(self, velocity: Sequence[float]) -> None:
-        """Go on with this velocity: mm/s and °/s, (6,)."""
+        """Move with this velocity, (6,), in mm/s and °/s."""
         self._send(velocity)
         self._told.set()
 

@@ -1,4 +1,4 @@
-"""What both loops share: results in, velocities out, until Ctrl-C, a time, or a lost sensor."""
+"""The part that both loops share: read results and send velocities until Ctrl-C, a set time, or a lost sensor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Velocity = tuple[float, float, float, float, float, float]
 
 
 def options(doc: str | None) -> argparse.ArgumentParser:
-    """The arguments of both."""
+    """Make the parser for the arguments of both loops."""
     parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
     parser.add_argument("broker", help="HOST or HOST:PORT")
     parser.add_argument("sensor", help="its sensor_id")
@@ -30,7 +30,7 @@ def options(doc: str | None) -> argparse.ArgumentParser:
 def run(
     args: argparse.Namespace, names: Sequence[str], velocity: Callable[[Mapping[str, float], float], Velocity]
 ) -> int:
-    """Give each touch to `velocity` with the seconds since the last one, and what it returns to the robot."""
+    """Call `velocity` with each touch and the seconds since the last one, and send the result to the robot."""
     ages_ms: list[float] = []
     first_ns = last_ns = 0
     try:
@@ -38,7 +38,7 @@ def run(
             for r in results:
                 age_ms = (time.time_ns() - r.wall_ns) / 1e6
                 if (touch := numbers(r, names)) is None or age_ms > 1e3 * STOP_S:
-                    continue  # `Robot` stops by itself where this lasts
+                    continue  # `Robot` stops automatically if this lasts
                 first_ns = first_ns or r.t_ns
                 dt_s = min((r.t_ns - (last_ns or r.t_ns)) / 1e9, STOP_S)
                 last_ns = r.t_ns
@@ -58,7 +58,7 @@ def run(
 
 
 def numbers(r: ts.Result, names: Sequence[str]) -> Mapping[str, float] | None:
-    """What a frame's touch says of these; None where one of them is not known, as without contact."""
+    """Read these numbers of a frame's touch; None if one of them is unknown, for example without contact."""
     touch = r.touch or {}
     found = {name: value for name in names if (value := touch.get(name)) is not None}
     return found if len(found) == len(names) else None

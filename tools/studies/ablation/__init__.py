@@ -1,1 +1,1 @@
-"""Where the error comes from: the learned inverse with one thing after the other made perfect."""
+"""Study where the error of the learned inverse comes from, by making one part after another perfect."""

@@ -1,4 +1,4 @@
-"""Where the error comes from: one profile with parts of it made perfect.
+"""Show where the error comes from: run one profile with some of its parts made perfect.
 
 ::
 

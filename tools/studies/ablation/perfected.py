@@ -1,4 +1,4 @@
-"""A network some of whose answers are the truth."""
+"""A network in which the truth replaces some of the outputs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, skin_points
 from tacshade_edge.types import F32, Bool, Geometry
 
 SURE = 10.0
-"""Log odds of a contact that is known."""
+"""Log odds of a known contact."""
 
 
 class PerfectedNetwork:
-    """Runs a network, and puts the truth in the place of its heights, its contact, both, or its greatest height.
+    """Runs a network and replaces its heights, its contact, both, or its greatest height with the truth.
 
-    The truth is that of the last frame that `show` was given.
+    The truth is the one last given to `show`.
     """
 
     def __init__(self, network: Network, *, height: bool = False, contact: bool = False, top: bool = False) -> None:
@@ -31,11 +31,11 @@ class PerfectedNetwork:
         self._contact: Bool = np.zeros((0, 0), bool)
 
     def show(self, height: F32, contact: Bool) -> None:
-        """Tell the truth of the next frame: what the network should say (`true_answer`)."""
+        """Set the truth of the next frame, which the network should output (`true_answer`)."""
         self._height, self._contact = height, contact
 
     def as_network(self) -> Network:
-        """What a reconstructor takes."""
+        """Return a network for a reconstructor."""
         return replace(self._network, run=self._run)
 
     def _run(self, white: F32, sensor: F32) -> NetworkMaps:
@@ -53,7 +53,7 @@ class PerfectedNetwork:
 
 
 def true_answer(frame: SimulatedFrame, seen: Geometry, cells: int) -> tuple[F32, Bool]:
-    """What the network should say of a frame, at the cells of the map that a calibration sees.
+    """Compute what the network should output for a frame, at the cells of a calibration's disc map.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The jobs of an ablation: every press of Experiment 1, with one cause of error after the other taken away."""
+"""The jobs of an ablation: every press of Experiment 1, with one cause of error after another removed."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from tools.testbed.simulator.variants import noiseless
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """What is made perfect.
+    """The parts that a variant makes perfect.
 
     Attributes
     ----------
     noiseless : bool
-        The frame's noise.
+        The frame has no noise.
     calibrated : bool
-        The geometry is the true one, and the factor on h is fitted to the true heights of the very presses scored.
+        The geometry is the true one, and the factor on h is fitted to the true heights of the scored presses.
     top, height, contact : bool
-        The network's greatest height (its map is scaled), all its heights (what a true gradient integrates to, from
-        h = 0 at the rim), its contact.
+        The truth replaces the network's greatest height (by scaling its map), all its heights (as integrated from the
+        true gradient, from h = 0 at the rim), or its contact.
     """
 
     noiseless: bool = False
@@ -66,7 +66,7 @@ VARIANTS: Mapping[str, Variant] = {
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Which sensors, by which learned profile; the rest as in `evaluate.work.Plan`."""
+    """The sensors and the learned profile of a study; the other attributes are those of `evaluate.work.Plan`."""
 
     sensors: tuple[SensorName, ...]
     profile: str = "accurate"
@@ -78,7 +78,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class AblationRow:
-    """One object's presses on one sensor with something made perfect.
+    """The presses of one object on one sensor, by one variant.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class AblationRow:
         `what` is a key of `VARIANTS`.
     presses, missed : int
     me_mm, backward_mm, sd_pct, iou, depth_error_pct : float
-        Means, as `evaluate.summary.Figures` has them.
+        Means, as in `evaluate.summary.Figures`.
     """
 
     sensor: str
@@ -103,7 +103,7 @@ class AblationRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pressed:
-    """One press: with the camera's noise and without, and all that is true of it."""
+    """One press: its frame with the camera's noise and without, and its truth."""
 
     label: Label
     noisy: Frame
@@ -113,7 +113,7 @@ class _Pressed:
 
 
 def ablate(plan: Plan, workers: Workers, report: Report) -> tuple[tuple[str, Row], ...]:
-    """Run a plan: rows with the variant of each. Raises ConfigError (a sensor cannot be calibrated) and DeviceError."""
+    """Run a plan; return (variant, row) pairs. Raises ConfigError (a sensor cannot be calibrated) and DeviceError."""
     jobs = [(plan, name) for name in plan.sensors]
     return tuple(chain.from_iterable(reported_map(_sensor, jobs, workers, report, "sensors taken apart")))
 
@@ -139,7 +139,7 @@ def _sensor(task: tuple[Plan, SensorName]) -> list[tuple[str, Row]]:
 
 
 def _unfitted(calibration: Calibration, variant: Variant) -> Calibration:
-    """What is true needs no factor."""
+    """Remove the factors if the variant uses true heights, which need none."""
     return replace(calibration, factors={}) if variant.height or variant.top else calibration
 
 
@@ -173,7 +173,7 @@ def _perfectly_calibrated(
 
 
 def _rows_of(found_mm: F32, true: F32, contact: Bool, geometry: Geometry) -> PressRows | None:
-    """One press for `fit_factor`, which weighs every press alike."""
+    """Prepare one press for `fit_factor`, with weights that give every press the same influence."""
     use = contact & (found_mm > 0.05)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
@@ -184,7 +184,7 @@ def _rows_of(found_mm: F32, true: F32, contact: Bool, geometry: Geometry) -> Pre
 
 
 def object_rows(found: Sequence[tuple[str, Row]]) -> list[AblationRow]:
-    """Means over each object's presses, for the CSV."""
+    """Average over each object's presses, for the CSV file."""
     made = []
     for sensor in dict.fromkeys(row.sensor for _, row in found):
         for what in VARIANTS:
@@ -200,7 +200,7 @@ def object_rows(found: Sequence[tuple[str, Row]]) -> list[AblationRow]:
 
 
 def text(found: Sequence[tuple[str, Row]]) -> str:
-    """A table for each family."""
+    """Write a table for each family."""
     parts = []
     for family in dict.fromkeys(sensor_name(row.sensor).family for _, row in found):
         lines = []

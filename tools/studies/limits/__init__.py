@@ -1,1 +1,1 @@
-"""Where the reconstruction ends: phantoms, the least and the greatest depth, the finest shape, disturbed frames."""
+"""Study the limits of reconstruction: phantoms, least and greatest depth, finest shape, disturbed frames."""

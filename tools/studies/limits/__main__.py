@@ -1,4 +1,4 @@
-"""Where the method ends: phantoms, the least and the greatest depth, the finest shape.
+"""Measure the limits of reconstruction: phantoms, least and greatest depth, finest shape, disturbed frames.
 
 ::
 

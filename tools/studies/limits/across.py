@@ -1,4 +1,4 @@
-"""Heights along a line across a press: the skin's true heights and the found ones."""
+"""True and found heights along a line across a press."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ REACH_MM = 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Across:
-    """A line in the image through a press's middle, along the press's own x.
+    """A line in the image through a press's middle, along the press's own x axis.
 
     Attributes
     ----------
     x_mm : float (N,)
-        Where on that axis the skin lies that each pixel of the line shows.
+        Coordinate along this axis of the skin point that each pixel of the line shows.
     true_mm : float (N,)
-        Its h.
+        True h of this skin point.
     row, col : float (N,)
-        The pixels.
+        Coordinates of the pixels.
     """
 
     x_mm: F64
@@ -38,7 +38,7 @@ class Across:
 
 
 def across(frame: SimulatedFrame, press: Press) -> Across:
-    """Lay the line, a pixel apart, and look up the true skin."""
+    """Place the line, with points one pixel apart, and compute the true skin along it."""
     geometry, r = frame.model.geometry, frame.model.skin_radius_mm
     turn = math.radians(press.rotation_deg)
     along = np.array((math.cos(turn), math.sin(turn)))
@@ -55,7 +55,7 @@ def across(frame: SimulatedFrame, press: Press) -> Across:
 
 
 def found_heights(line: Across, height: HeightMap) -> F64:
-    """Sample a height map on the line's pixels; NaN where it has none."""
+    """Sample a height map at the line's pixels; NaN where the map has no height."""
     j, i = (line.col - height.col0) / height.step_px, (line.row - height.row0) / height.step_px
     map_mm = np.ascontiguousarray(height.height_mm)
     sampled = cv2.remap(map_mm, j.astype(np.float32)[:, None], i.astype(np.float32)[:, None], cv2.INTER_LINEAR)
@@ -63,7 +63,7 @@ def found_heights(line: Across, height: HeightMap) -> F64:
 
 
 def dip_mm(x_mm: F64, h_mm: F64, width_mm: float, gap_mm: float) -> float:
-    """Depth in mm of the gap's lowest point below the lower of the two bars' maxima."""
+    """Compute how far in mm the gap's lowest point lies below the lower of the two bars' maxima."""
     side = np.abs(x_mm) - gap_mm / 2
     bar = (side >= 0) & (side <= width_mm)
     left, right, middle = h_mm[bar & (x_mm < 0)], h_mm[bar & (x_mm > 0)], h_mm[side < 0]
@@ -71,5 +71,5 @@ def dip_mm(x_mm: F64, h_mm: F64, width_mm: float, gap_mm: float) -> float:
 
 
 def top_mm(x_mm: F64, h_mm: F64, width_mm: float) -> float:
-    """The greatest h in mm over a ridge and half a millimetre on either side."""
+    """Find the greatest h in mm over a ridge and half a millimetre on either side."""
     return float(np.nanmax(h_mm[np.abs(x_mm) <= width_mm / 2 + 0.5]))

@@ -1,4 +1,4 @@
-"""What disturbs a sensor in use, drawn at random within stated bounds: with nothing touching, and with a contact."""
+"""Disturbances of a sensor in use, drawn at random within stated bounds, without and with a contact."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Change = Callable[[U8, SensorModel, Rng], U8]
 
 UNDISTURBED = "nothing"
 RELEASED = "after a release"
-"""The skin keeps 2 to 10 % of the dent of a ball pressed 2 to 4 mm deep: up to 0.4 mm, and nothing touches."""
+"""Nothing touches, but the skin keeps 2 to 10 % of the dent (up to 0.4 mm) of a ball pressed 2 to 4 mm deep."""
 LEFT = (0.02, 0.1)
 
 
@@ -64,7 +64,7 @@ CHANGES: dict[str, Change] = {
     "moved by 1 px": _moved,
     "noise of 2 to 10 levels": _noisy,
 }
-"""What is done to an image, by name. Bounds of glare: standard deviation 2 to 20 px, 60 to 255 levels."""
+"""Changes of an image, by name. Glare has a standard deviation of 2 to 20 px and 60 to 255 levels."""
 
 
 def _far_light(image: U8, model: SensorModel, rng: Rng) -> U8:
@@ -121,7 +121,7 @@ TORN: dict[str, Change] = {
     "torn: rows down by 40 px": _down,
     "torn: black or grey below": _flat_below,
 }
-"""At five rows, on an image of 640x480 px."""
+"""Torn images; the tear begins at one of five rows, and pixels are those of a 640x480 image."""
 
 
 BEYOND: dict[str, Change] = {
@@ -131,13 +131,13 @@ BEYOND: dict[str, Change] = {
     "blur of 1 to 5 px": _blurred,
     **TORN,
 }
-"""What no user may expect to be compensated: refused or said, at best."""
+"""Disturbances that are not compensated; at best, the result is invalid or degraded."""
 
 WITHOUT_CONTACT = (*CHANGES, RELEASED)
 
 
 def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int) -> U8:
-    """Take an image with nothing touching, disturbed by one of `WITHOUT_CONTACT` or `BEYOND`, as the seed draws it."""
+    """Take an image without contact, disturbed by one of `WITHOUT_CONTACT` or `BEYOND`, as drawn from the seed."""
     rng = np.random.default_rng((seed, 31))
     if what == RELEASED:
         model = sensor.model

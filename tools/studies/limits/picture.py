@@ -1,4 +1,4 @@
-"""The four plots of a study of limits; matplotlib is imported only here, and only to draw."""
+"""The four plots of the study of limits; only drawing them imports matplotlib."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STYLES, _MARKERS = ("-", "--", ":"), ("o", "s", "^")
 
 
 def draw(found: Limits) -> dict[str, bytes]:
-    """File name to PNG."""
+    """Draw the plots; return a PNG by file name."""
     return {
         "limits_detection.png": _detection(found.faint),
         "limits_depth.png": _depth(found.deep),

@@ -1,4 +1,4 @@
-"""What a study of limits finds: one kind of row for each question, a CSV file each."""
+"""The results of the study of limits: each question has its own kind of row and its own CSV file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tacshade_edge.types import Reconstruction
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A reconstruction without its maps. `doubt` is its reason for refusal or for less trust, empty without."""
+    """A reconstruction without its maps. `doubt` is why it is invalid or degraded, or empty."""
 
     profile: str
     valid: bool
@@ -22,7 +22,7 @@ class Found:
 
 
 def found(result: Reconstruction) -> tuple[str, bool, bool, bool, float, int, str]:
-    """The fields of `Found`, to begin a row with."""
+    """Return the fields of `Found`, which begin each row."""
     return (
         result.profile,
         result.valid,
@@ -36,7 +36,7 @@ def found(result: Reconstruction) -> tuple[str, bool, bool, bool, float, int, st
 
 @dataclass(frozen=True, slots=True)
 class NullRow(Found):
-    """A frame with nothing touching; `contact` is a phantom."""
+    """A frame without contact, in which `contact` is a phantom."""
 
     sensor: str
     disturbance: str
@@ -47,7 +47,7 @@ class NullRow(Found):
 class DepthRow(Found):
     """A press to a greatest h of `depth_mm`; `true_mm` is the greatest h of the simulated skin's grid.
 
-    `faint`: of the search for the least depth, or of that for the greatest.
+    `faint` is true in the search for the least depth, and false in the one for the greatest.
     """
 
     sensor: str
@@ -62,9 +62,9 @@ class DepthRow(Found):
 
 @dataclass(frozen=True, slots=True)
 class FineRow(Found):
-    """Two bars with a gap, or a ridge of a width, on a sensor of a pitch; a profile of h across their middle.
+    """Two bars with a gap (`size_mm`), or a ridge with a width (`size_mm`), on a sensor with a marker pitch.
 
-    For bars `true_height_mm` and `found_height_mm` are how much h dips between them, for a ridge its greatest h.
+    For bars, `true_height_mm` and `found_height_mm` are the dip of h between them; for a ridge, its greatest h.
     """
 
     pitch_mm: float
@@ -79,7 +79,7 @@ class FineRow(Found):
 
 @dataclass(frozen=True, slots=True)
 class DisturbedRow(Found):
-    """A contact in a disturbed image. `clean_mm` is what the same frame gave undisturbed."""
+    """A contact in a disturbed image. `clean_mm` is the depth from the same frame without the disturbance."""
 
     sensor: str
     disturbance: str
@@ -91,10 +91,10 @@ class DisturbedRow(Found):
 
     @property
     def off(self) -> float:
-        """How far the depth is from the undisturbed frame's, as a ratio; a lost contact is 1 off."""
+        """Relative difference between the depth and the undisturbed frame's; a lost contact counts as 1."""
         return abs(self.found_mm / self.clean_mm - 1)
 
     @property
     def silent(self) -> bool:
-        """Nothing in the result tells a program to trust it less."""
+        """Whether nothing in the result warns a program to trust it less."""
         return self.valid and not self.doubt and not self.saturated

@@ -1,4 +1,4 @@
-"""Rows to the figures that are quoted, and the figures to a text."""
+"""Turn the rows into figures, and the figures into a text."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ DETECTED = 0.95
 RESOLVED = 0.75
 """Share of places at which a gap or ridge must be resolved."""
 DIP_PART, LEAST_DIP_MM, RIDGE_OFF = 0.5, 0.05, 0.2
-"""A gap shows when h dips by half as much as it truly does, and a ridge when its height is within a fifth."""
+"""A gap is resolved if h dips by at least half of the true dip, and a ridge if its height is within a fifth."""
 WRONG = 0.25
-"""Relative error beyond which a depth is wrong."""
+"""Relative error above which a depth counts as wrong."""
 
 
 def profiles_of(rows: Iterable[Found]) -> list[str]:
-    """Names in the order of the rows."""
+    """List the profiles in the order of the rows."""
     return list(dict.fromkeys(r.profile for r in rows))
 
 
 def detected(rows: Sequence[DepthRow], profile: str, radius_mm: float) -> list[tuple[float, float]]:
-    """(depth, part of the presses that was found) of a ball."""
+    """Compute (depth, share of presses found) of a ball."""
     some = [r for r in rows if r.profile == profile and r.radius_mm == radius_mm]
     depths = sorted({r.depth_mm for r in some})
     return [(d, float(np.mean([r.contact for r in some if r.depth_mm == d]))) for d in depths]
 
 
 def depth_errors(rows: Sequence[DepthRow], profile: str, name: str) -> list[tuple[float, float, float, float]]:
-    """(depth, mean absolute error, its 90th percentile, part told to be saturated) of an object, in mm."""
+    """Compute (depth, mean absolute error, its 90th percentile, share reported as saturated) of an object, in mm."""
     some = [r for r in rows if r.profile == profile and r.object == name]
     made = []
     for depth in sorted({r.depth_mm for r in some}):
@@ -46,17 +46,17 @@ def depth_errors(rows: Sequence[DepthRow], profile: str, name: str) -> list[tupl
 
 
 def dips(row: FineRow) -> bool:
-    """Whether the height between two bars dips by half of what it truly does."""
+    """Whether the height dips between two bars by at least half of the true dip."""
     return row.found_height_mm >= max(DIP_PART * row.true_height_mm, LEAST_DIP_MM)
 
 
 def two(row: FineRow) -> bool:
-    """Whether two bars came out as two objects."""
+    """Whether two bars are found as two objects."""
     return row.objects == 2
 
 
 def ridge_right(row: FineRow) -> bool:
-    """Whether a ridge has its height."""
+    """Whether a ridge's height is within a fifth of the true one."""
     return abs(row.found_height_mm / row.true_height_mm - 1) <= RIDGE_OFF
 
 
@@ -65,11 +65,11 @@ FINE = {
     "gap: half the dip": ("bars", dips),
     "ridge: height within 20 %": ("ridge", ridge_right),
 }
-"""What is asked of fine shapes."""
+"""The questions about fine shapes, with the shape and the test of each."""
 
 
 def finest(rows: Sequence[FineRow], profile: str, pitch_mm: float, question: str) -> float:
-    """The smallest size from which on every larger one comes out at `RESOLVED` of the places; infinite without."""
+    """Find the size at and above which a shape is resolved at `RESOLVED` of the places; infinity if there is none."""
     shape, came_out = FINE[question]
     some = [r for r in rows if r.profile == profile and r.pitch_mm == pitch_mm and r.shape == shape]
     least = float("inf")
@@ -81,7 +81,7 @@ def finest(rows: Sequence[FineRow], profile: str, pitch_mm: float, question: str
 
 
 def silently_wrong(rows: Iterable[DisturbedRow]) -> list[DisturbedRow]:
-    """Contacts that are lost, or wrong in depth, without a word."""
+    """List the contacts that are lost or have a wrong depth without any warning in the result."""
     return [r for r in rows if r.silent and r.off > WRONG]
 
 

@@ -1,4 +1,4 @@
-"""The jobs of a study of limits: which sensor sees what."""
+"""The jobs of the study of limits: the presses and disturbances that each sensor sees."""
 
 from __future__ import annotations
 
@@ -39,28 +39,28 @@ _Job = tuple[Callable[[Any], Sequence[Found]], Any]
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is looked at; equal plans give equal rows. Lengths are in mm, whatever the skin's radius;
-    depths are the greatest h of the skin.
+    """The parameters of a study; equal plans give equal rows. Lengths are in mm for every skin radius;
+    depths are the skin's greatest h.
 
     Attributes
     ----------
     sensors : tuple of SensorName
     profiles : tuple of str
     references, presses : int
-        Numbers that each sensor is calibrated on.
+        Numbers of references and presses on which each sensor is calibrated.
     null_frames, beyond_frames : int
-        Frames with nothing touching over all sensors, disturbed as in use and (`BEYOND`) more than that.
+        Frames without contact over all sensors, with the disturbances of normal use and with greater ones (`BEYOND`).
     ball_radii_mm, faint_depths_mm : tuple of float
-        What may be too faint to be detected, at `faint_places` places of each sensor.
+        Balls and depths that may be too faint to detect, at `faint_places` places of each sensor.
     depths_mm : tuple of float
-        Of a ball of 6 mm radius and a cylinder, at `deep_places` places.
+        Depths of a ball with a radius of 6 mm and of a cylinder, at `deep_places` places.
     pitches_mm : tuple of float
-        The first sensor is printed anew with these.
+        Marker pitches with which the first sensor is printed again.
     gaps_mm, widths_mm : tuple of float
-        Between bars of `bar_width_mm`, and of a ridge, pressed `fine_depth_mm` deep at `fine_places` places (this
-        depth is along z at the place).
+        Gaps between bars of `bar_width_mm`, and widths of a ridge, pressed `fine_depth_mm` deep (along z at the place)
+        at `fine_places` places.
     disturbed_places : int
-        Contacts of 2 mm for each disturbance and sensor.
+        Number of contacts 2 mm deep for each disturbance and sensor.
     """
 
     sensors: tuple[SensorName, ...]
@@ -94,7 +94,7 @@ class Limits:
     disturbed: tuple[DisturbedRow, ...]
 
     def tables(self) -> list[tuple[str, Sequence[Found]]]:
-        """Name to rows."""
+        """List the tables by name."""
         return [(field.name, getattr(self, field.name)) for field in fields(self)]
 
 
@@ -102,7 +102,7 @@ def limits(plan: Plan, workers: Workers, report: Report) -> Limits:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
     calibrations = calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report)
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, calibrations, strict=True)]
-    # The longest first, so that no core waits at the end.
+    # The longest jobs come first, so that no core waits at the end.
     jobs: list[_Job] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
         *((job, task) for job in (_deep, _faint, _nulls, _disturbed) for task in known),
@@ -131,7 +131,7 @@ def _step(each: Reconstructor, image: U8) -> Reconstruction:
 
 
 def places(model: SensorModel, count: int, reach_radii: float, seed: int | None) -> list[tuple[float, float]]:
-    """A sunflower of x and y in mm out to a part of the skin's radius, turned by the sensor's seed."""
+    """Spread places (x, y) in mm on a sunflower spiral out to `reach_radii` skin radii, turned by the sensor's seed."""
     turn = np.random.default_rng((0 if seed is None else seed + 1, 32)).uniform(0, 2 * math.pi)
     spread = []
     for k in range(count):
@@ -155,14 +155,14 @@ def _nulls(task: tuple[Plan, SensorName, Calibration]) -> list[NullRow]:
 
 
 def ball_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float) -> Press:
-    """Press a ball until the skin's greatest h is `height_mm`: off the axis it touches before its lowest point does."""
+    """Press a ball until the skin's greatest h is `height_mm`; off the axis, its lowest point is not the deepest."""
     rho2 = x_mm**2 + y_mm**2
     lowest = math.sqrt((skin_radius_mm + radius_mm - height_mm) ** 2 - rho2) - radius_mm
     return Press(ball(radius_mm), x_mm, y_mm, math.sqrt(skin_radius_mm**2 - rho2) - lowest)
 
 
 def cylinder_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float) -> Press:
-    """Press the flat cylinder until the skin's greatest h, at the tip under it, is `height_mm`."""
+    """Press the flat cylinder until the skin's greatest h, which is at the tip, is `height_mm`."""
     up = math.sqrt(skin_radius_mm**2 - x_mm**2 - y_mm**2) - skin_radius_mm
     return Press(OBJECTS["cylinder"](), x_mm, y_mm, height_mm + up)
 

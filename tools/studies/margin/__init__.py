@@ -1,1 +1,1 @@
-"""The margin before a slip: how early it announces one, and how often falsely."""
+"""Study how early the margin announces a slip, and how often it raises a false alarm."""

@@ -1,4 +1,4 @@
-"""Whether the margin before a slip announces it, and how often it is low while nothing slips.
+"""Measure whether the margin announces a slip, and how often it is low while nothing slips.
 
 ::
 

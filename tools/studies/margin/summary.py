@@ -1,4 +1,4 @@
-"""Rows to a table."""
+"""Turn the rows into a table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tacshade_edge.studies.tables import markdown
 from tools.studies.margin.work import HeldRow, LoadRow, Row
 
 AHEAD_S = 0.1
-"""Least time of an alarm before the onset that announces a slip, s."""
+"""Least time in s from an alarm to the onset of the slip that it announces."""
 
 
 def text(rows: Sequence[Row]) -> str:

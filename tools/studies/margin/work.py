@@ -1,4 +1,4 @@
-"""The jobs of the study: objects that are loaded until they slide, and objects that are held while they are shaken."""
+"""The jobs of the study: objects are loaded until they slide, or held and shaken."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from tools.testbed.simulator.other_family import OtherSensor
 
 FPS = 30
 DEPTH_MM, FAR_MM = (1.5, 3.0), 9.0
-"""Of the presses, and the longest way of a drag; on a skin of 20 mm."""
+"""Range of the presses' depths, and the longest path of a drag; on a skin of 20 mm."""
 SETTLED_S, SEEN_S, AFTER_S = 0.45, 0.2, 0.3
-"""An object rests so long before its load grows; of this rest and after the onset of its slip so much is looked at."""
+"""How long an object rests before its load grows; how much the study sees of this rest, and after the slip's onset."""
 REACH_S = (0.5, 2.0)
 """Least and greatest time from the start of a load to the slip."""
 LOOSENED_PART = 0.55
-"""Part of the way to the slip by which an object is dragged before its grip is loosened."""
+"""Share of the drag to the slip by which an object is dragged before its grip is loosened."""
 MOST_LIFTED = 0.9
 """Greatest lift, as a share of the depth."""
 HELD_SHARE, SHAKEN_PART, SHAKEN_DEPTH = (0.3, 0.45), 0.25, 0.08
-"""Part of the load to the slip at which an object is held; parts of its drag and of its depth by which it is shaken."""
+"""Share of the slip's load at which an object is held; shares of its drag and depth by which it is shaken."""
 PERIOD = 24
-"""Frames after which a disturbance comes again, with other noise."""
+"""Number of frames after which a disturbance repeats, with other noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Sensors and objects of a kind; a sensor's `coulomb` of None is its own."""
+    """Sensors and objects of one kind; None instead of a `coulomb` means the sensor's own."""
 
     name: str
     sensors: tuple[tuple[SensorName, float | None], ...]
@@ -80,12 +80,12 @@ FINAL_GROUPS = (
     Group("other objects", _usual(9018, 9020), ("cylinder", "cone")),
     Group("other mechanics", tuple((SensorName("other", seed), None) for seed in (9018, 9019)), ("ball", "cube")),
 )
-"""Not looked at while the margin's rules were chosen."""
+"""Groups that nobody evaluated while choosing the margin's rules."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is studied; equal plans give equal rows. `held_s` is over all that are held in a group."""
+    """The parameters of a study; equal plans give equal rows. `held_s` is shared by all held objects of a group."""
 
     profile: str
     groups: tuple[Group, ...] = GROUPS
@@ -94,18 +94,18 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class LoadRow:
-    """An object that is loaded until it slides; a column of margin_loads.csv each.
+    """An object that is loaded until it slides; each attribute is a column of margin_loads.csv.
 
     Attributes
     ----------
     group, sensor, object, load : str
-        `load` is ``pulled``, or ``loosened``: less deep, under a drag.
+        `load` is ``pulled``, or ``loosened``: the depth falls under a constant drag.
     coulomb, reach_s : float
-        The model's, and the time from the start of the load to the slip, without creep.
+        The model's coefficient, and the time from the start of the load to the slip, without creep.
     onset_s, alarm_s : float
-        When all of the contact slides, by the truth, and when the margin first was at most `ALARM`; NaN: never.
+        When the whole contact truly slides, and when the margin first was at most `ALARM`; NaN: never.
     stuck : float
-        Part of the contact that truly sticks at the alarm.
+        Share of the contact that truly sticks at the alarm.
     """
 
     group: str
@@ -121,7 +121,7 @@ class LoadRow:
 
 @dataclass(frozen=True, slots=True)
 class HeldRow:
-    """An object that is held and shaken; a column of margin_held.csv each."""
+    """An object that is held and shaken; each attribute is a column of margin_held.csv."""
 
     group: str
     sensor: str
@@ -151,7 +151,7 @@ def study(plan: Plan, workers: Workers, report: Report) -> tuple[Row, ...]:
 
 
 class _Drawn:
-    """A sensor under one object that moves, without the camera's noise; skin of the other family does not creep."""
+    """A sensor under one moving object, drawn without the camera's noise; skin of the other family does not creep."""
 
     def __init__(self, name: SensorName, coulomb: float | None) -> None:
         model = name.make().model
@@ -161,15 +161,15 @@ class _Drawn:
         self._camera = Renderer(self.model)
 
     def frames(self, motion: Motion) -> Callable[[float], SimulatedFrame]:
-        """A function that draws a motion's frame at a time in s."""
+        """Return a function that draws a motion's frame at a time in s."""
         return MovingScene([motion], self._quiet).frame if self._other is None else partial(_at, self._other, motion)
 
     def slides(self, press: Press) -> bool:
-        """Whether an object slides as a whole under this press."""
+        """Whether the whole object slides in this press."""
         return _stuck(self._skin(press)) <= SLIDES
 
     def carried_mm(self, press: Press) -> float:
-        """How far it took the skin along, in the mean: its load in skin units."""
+        """How far the object pulled the skin along on average, which measures its load in mm of skin."""
         (ahead,) = self._skin(press).slid_mm
         return math.hypot(press.drag_x_mm - ahead[0], press.drag_y_mm - ahead[1])
 
@@ -177,7 +177,7 @@ class _Drawn:
         return skin_under(self.model, [press]) if self._other is None else self._other.frame([press]).skin
 
     def exposed(self, drawn: SimulatedFrame, seed: int) -> U8:
-        """A frame's image with the camera's noise."""
+        """Add the camera's noise to a frame's image."""
         return self._camera.expose(drawn.image[..., 1].astype(np.float32), seed)  # the gain of green is 1
 
 
@@ -217,7 +217,7 @@ def _rows(task: _Task) -> list[Row]:
 
 
 def _begun(drawn: _Drawn, what: str, rng: np.random.Generator) -> tuple[Motion, F64]:
-    """An object that came down beside the tip and rests, and the longest way over the tip, in mm."""
+    """Press an object next to the tip and let it rest; also return the longest path across the tip, in mm."""
     scale, angle = drawn.model.skin_radius_mm / 20, rng.uniform(0, 2 * math.pi)
     way = scale * np.array((math.cos(angle), math.sin(angle)))
     x, y = (-rng.uniform(1, 3) * way).tolist()
@@ -226,7 +226,7 @@ def _begun(drawn: _Drawn, what: str, rng: np.random.Generator) -> tuple[Motion, 
 
 
 def _moved(press: Press, drag_mm: F64, depth: float) -> Press:
-    """A press after a drag, as many times as deep."""
+    """Drag a press and multiply its depth by `depth`."""
     x, y = drag_mm.tolist()
     return replace(
         press, x_mm=press.x_mm + x, y_mm=press.y_mm + y, drag_x_mm=x, drag_y_mm=y, depth_mm=press.depth_mm * depth
@@ -242,13 +242,13 @@ def _lifted(drag_mm: F64, press: Press, part: float) -> Press:
 
 
 def _least(drawn: _Drawn, press: Press, at: Callable[[Press, float], Press]) -> float:
-    """Part of 0 to 1, to a hundredth, from which it slides; infinity where it never does."""
+    """Find the least part of a load, to a hundredth, at which the object slides; infinity if it never slides."""
     first = bisect_left(range(1, 101), True, key=lambda part: drawn.slides(at(press, part / 100)))
     return (first + 1) / 100 if first < 100 else math.inf
 
 
 def _loosened(drawn: _Drawn, begun: Motion, reach_mm: F64, reach_s: float) -> Motion | None:
-    """Drag it by a part of the way to the slip, then lift it until it slides; None where it lets go instead."""
+    """Drag an object by part of the way to the slip, then lift it until it slides; None if it would leave the skin."""
     last, drag_mm = begun.presses[-1], LOOSENED_PART * reach_mm
     lift = _least(drawn, last, partial(_lifted, drag_mm))
     if lift > 0.95:
@@ -260,7 +260,7 @@ def _loosened(drawn: _Drawn, begun: Motion, reach_mm: F64, reach_s: float) -> Mo
 
 
 def _shaken(drawn: _Drawn, begun: Motion, reach_mm: F64, rng: np.random.Generator) -> Motion:
-    """Load it by a part of what makes it slide, then shake it along, across and in depth over two periods."""
+    """Load an object with part of the slip's load, then shake it along, across and in depth for two periods."""
     last, share = begun.presses[-1], rng.uniform(*HELD_SHARE)
     most_mm = drawn.carried_mm(_along(reach_mm, last, 1.0))
     part = bisect_left(range(1, 100), share * most_mm, key=lambda k: drawn.carried_mm(_along(reach_mm, last, k / 100)))
@@ -276,7 +276,7 @@ def _shaken(drawn: _Drawn, begun: Motion, reach_mm: F64, rng: np.random.Generato
 
 
 def _margins(made: Reconstructor, images: Iterable[U8], first: int) -> list[float]:
-    """Least margin of each frame; 1 where nothing touches."""
+    """Compute each frame's least margin; 1 if nothing touches."""
     tracker = ContactTracker()
     results = [
         follow(tracker, made.step(Frame(k, round(1e9 * k / FPS), 0, image))) for k, image in enumerate(images, first)

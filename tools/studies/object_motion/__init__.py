@@ -1,1 +1,1 @@
-"""How well a hand knows the motion of the object that it holds."""
+"""Study how well a hand knows the motion of the object that it holds."""

@@ -1,12 +1,12 @@
-"""How well a hand knows the motion of the object that it holds.
+"""Measure how well a hand knows the motion of the object that it holds.
 
 ::
 
     .venv/bin/python -m tools.studies.object_motion [--trials 20] [--rest-s 600] [--csv FILE]
     .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE] [--cluster tcp://HOST:8786]
 
-The first draws the errors of patches as they were measured; the second has a simulated hand hold an object, draws what
-each of five fingers sees, and reconstructs that: a minute of a core for each trial.
+The first command draws the errors of patches as measured before. In the second, a simulated hand holds an object, and
+the study draws and reconstructs the pictures of all five fingers, which takes a minute of one core per trial.
 """
 
 from __future__ import annotations

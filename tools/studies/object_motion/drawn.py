@@ -1,4 +1,4 @@
-"""A source of trials with pictures: a simulated hand holds an object, and every finger's picture is reconstructed."""
+"""A source of trials with pictures: a simulated hand holds an object, and each finger's picture is reconstructed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FPS: Final = 20
 PROFILE: Final = "balanced"
 RESTS_S, MOVES_S, HELD_S = 0.2, 1.0, 0.4
 FARTHEST_MM: Final = 2.5
-"""The patch that moves most moves by at most so much."""
+"""Greatest motion of the patch that moves furthest."""
 HALF_MM: Final = 30.0
 BODIES: Final[dict[str, Shape]] = {
     "box": box(100.0, 70.0, 2 * HALF_MM),
@@ -45,7 +45,7 @@ _HOME: Final = Rigid(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """One trial; equal ones give the same pictures."""
+    """The parameters of one trial; equal ones give the same pictures."""
 
     body: str
     family: str
@@ -53,12 +53,12 @@ class Drawing:
 
 
 def drawings(trials: int, families: Sequence[str] = FAMILIES) -> list[Drawing]:
-    """So many of each object and family."""
+    """List the drawings: so many trials of each object and family."""
     return [Drawing(body, family, k) for k in range(trials) for body in BODIES for family in families]
 
 
 def trial(drawing: Drawing) -> Trial:
-    """Draw five fingers that hold an object which is moved, and reconstruct what they see."""
+    """Draw five fingers that hold a moving object, and reconstruct their pictures."""
     families = FAMILIES + FINAL_FAMILIES
     rng = np.random.default_rng((list(BODIES).index(drawing.body), families.index(drawing.family), drawing.seed))
     name = sensor_name(drawing.family)
@@ -103,7 +103,7 @@ def _row(drawing: Drawing) -> MotionRow:
 
 
 def _held_at(body: str, rng: np.random.Generator) -> list[tuple[F64, F64]]:
-    """Where each finger's tip touches the object, and the direction it looks in: a thumb below, four above."""
+    """Draw where each fingertip touches the object, and the direction it faces: a thumb below, four fingers above."""
     spread_mm = ALONG_MM[body]
     held = []
     for k, along_mm in enumerate([0.0, *np.linspace(-spread_mm, spread_mm, 4)]):
@@ -124,7 +124,7 @@ def _held_at(body: str, rng: np.random.Generator) -> list[tuple[F64, F64]]:
 
 
 def _target(points_mm: F64, rng: np.random.Generator) -> Rigid:
-    """A pose of the object in which the touched point that moved most moved by 1 mm to `FARTHEST_MM`."""
+    """Draw an object pose that moves the furthest touched point by 1 mm to `FARTHEST_MM`."""
     translation_mm, rotation_rad = rng.normal(size=3), rng.normal(size=3) / 20.0
     pose = about(_HOME, translation_mm, rotation_rad)
     way_mm = float(np.linalg.norm(pose.apply(points_mm) - points_mm, axis=1).max())

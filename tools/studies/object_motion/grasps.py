@@ -1,4 +1,4 @@
-"""A source of trials without pictures: grasps by geometry, with errors as they were measured on simulated skins."""
+"""A source of trials without pictures: grasps from geometry, with errors as measured on simulated skins."""
 
 from __future__ import annotations
 
@@ -19,34 +19,35 @@ FPS: Final = 60
 MOVES_S, HELD_S = 1.5, 0.5
 SKIN_RADIUS_MM: Final = 20.0
 FARTHEST_MM: Final = 2.5
-"""The patch that moves most moves by at most so much."""
+"""Greatest motion of the patch that moves furthest."""
 DEPTHS_MM: Final = (0.4, 5.0)
-"""An object that would leave a finger or sink deeper is not drawn."""
+"""Range of depths; motions in which a finger would leave this range are drawn again."""
 OBJECTS: Final = ("box", "cylinder", "ball")
 EVENTS: Final = ("moves", "a finger leaves", "a finger joins", "a finger slips")
 LEAN_DEG: Final = 25.0
-"""A contact is at most so far off its finger's tip."""
+"""Greatest angle between a contact and its finger's tip."""
 SLIP_SEEN_S: Final = (0.07, 0.15)
-"""A slip is reported so long after it began (docs/how-to/shear.md)."""
+"""Time from the start of a slip to its report (docs/how-to/shear.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Skin:
-    """Errors of one family of sensors; standard deviations of normal errors, unless they are means.
+    """Errors of one family of sensors: standard deviations of normal errors, or means where the name says so.
 
     Attributes
     ----------
     gain_mean, gain_hand, gain : float
-        Relative error of shear along the way: of all, of a hand's fingers together, of each contact.
+        Relative error of shear along the motion: common to all, common to a hand's fingers, and of each contact.
     across : float
-        Error across the way, for each mm of it.
+        Error of shear across the motion, per mm of motion.
     sunk_mm : float
         Error of depth once a patch has moved by some mm.
     twist_gain_mean, twist_gain : float
+        Relative error of twist: common to all, and of each contact.
     frame_shear_mm, frame_depth_mm, frame_deg : float
-        Of a single frame.
+        Errors of shear, depth and twist that are independent in each frame.
     slow_mm, slow_deg : float
-        Of shear and depth, and of twist, which lasts `SLOW_S`.
+        Errors of shear and depth, and of twist, that change with a time constant of `SLOW_S`.
     """
 
     gain_mean: float
@@ -68,13 +69,13 @@ SKINS: Final = {
     "tacshade": Skin(-0.12, 0.04, 0.12, 0.05, 0.28, -0.2, 0.3),
     "other": Skin(-0.02, 0.08, 0.14, 0.11, 0.35, -0.7, 0.3),
 }
-"""By ``python -m tools.studies.drag --profile balanced --sensors default,other:31 --objects ball,cube``: found shear
-against true shear, and found depth against that of the same press undragged; dragged by 1 to 3 mm."""
+"""Measured by ``python -m tools.studies.drag --profile balanced --sensors default,other:31 --objects ball,cube`` with
+drags of 1 to 3 mm: found against true shear, and found depth against the found depth of the same press undragged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is drawn; equal plans give equal trials."""
+    """The parameters of the trials; equal plans give equal trials."""
 
     trials: int = 20
     fingers: tuple[int, ...] = (2, 3, 5)
@@ -85,7 +86,7 @@ class Plan:
 
 
 def trials(plan: Plan) -> Iterator[Trial]:
-    """Every event with every object, number of fingers and skin; then objects at rest."""
+    """Make trials of every event with every object, number of fingers and skin, then trials of objects at rest."""
     for event, what, count, skin, k in product(plan.events, plan.objects, plan.fingers, plan.skins, range(plan.trials)):
         rng = np.random.default_rng((EVENTS.index(event), OBJECTS.index(what), count, list(SKINS).index(skin), k))
         yield _trial(what, count, skin, event, rng)
@@ -109,7 +110,7 @@ def _trial(what: str, count: int, skin: str, event: str, rng: np.random.Generato
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Finger:
-    """A finger as it touches: where, the dome's centre, and the patch that it reports then, without an error."""
+    """A finger when it begins to touch: its dome's centre, and the patch that it would report without an error."""
 
     centre_mm: F64
     patch: Patch
@@ -121,7 +122,7 @@ class _Grasp:
 
     @classmethod
     def drawn(cls, what: str, count: int, rng: np.random.Generator) -> _Grasp:
-        """A thumb on one side, the others on the other side."""
+        """Draw a grasp with a thumb on one side and the other fingers on the opposite side."""
         middle_mm = rng.uniform(-60, 60, 3)
         across = math.pi + np.array([0.0, *(np.linspace(-0.8, 0.8, count + 1)[1:-1] + math.pi)])
         along_mm = np.array([0.0, *rng.permutation(np.linspace(-20, 20, count + 1)[1:-1])])
@@ -133,7 +134,7 @@ class _Grasp:
         )
 
     def points_mm(self) -> F64:
-        """Of the object: amid the patches, and at each."""
+        """Return points of the object: the middle of all patches, then the place of each."""
         places = np.array([finger.patch.place_mm for finger in self.fingers])
         return np.vstack((places.mean(axis=0), places))
 
@@ -162,7 +163,7 @@ def _finger(what: str, angle: float, along_mm: float, middle_mm: F64, rng: np.ra
 
 
 def _motion(grasp: _Grasp, rng: np.random.Generator) -> tuple[F64, F64]:
-    """A translation with a rotation about the grasp's middle, up to one alone."""
+    """Draw a rotation about the grasp's middle and a translation, in any ratio of the two."""
     middle, *places = grasp.points_mm()
     share = rng.uniform()
     translation, rotation = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
@@ -179,7 +180,7 @@ def _moved(grasp: _Grasp, rotation_rad: F64, translation_mm: F64, part: float) -
 
 
 def _at(finger: _Finger, moved: Rigid) -> Patch:
-    """What the finger reports of its patch, which sticks, without an error."""
+    """Compute the patch that a sticking finger would report without an error."""
     first = finger.patch
     place, axis, normal = (np.array(v) for v in (first.place_mm, first.axis, first.normal))
     now = moved.apply(place)
@@ -204,7 +205,7 @@ def _at(finger: _Finger, moved: Rigid) -> Patch:
 
 
 class _Errors:
-    """Of one finger's contact."""
+    """The errors of one finger's contact."""
 
     def __init__(self, skin: Skin, gain_hand: float, rng: np.random.Generator) -> None:
         self._skin, self._rng = skin, rng
@@ -215,7 +216,7 @@ class _Errors:
         self._slow = rng.normal(size=5)
 
     def added(self, first: Patch, now: Patch) -> Patch:
-        """To what an exact finger would report."""
+        """Add the errors to the patch that an exact finger would report."""
         skin, rng = self._skin, self._rng
         keep = math.exp(-1 / (FPS * SLOW_S))
         self._slow = keep * self._slow + math.sqrt(1 - keep * keep) * rng.normal(size=5)
@@ -256,7 +257,7 @@ def _moments(
             if i == last and event == "a finger joins":
                 if k < changed:
                     continue
-                if k == changed:  # its skin is not dragged yet, and its patch is where the object is now
+                if k == changed:  # the new finger's skin is undragged, and its patch lies where the object is now
                     place, normal = np.array(now.place_mm), np.array(now.normal)
                     rest = replace(finger.patch, place_mm=now.place_mm, normal=now.normal, shear_mm=(0, 0, 0))
                     centre_mm = place - (SKIN_RADIUS_MM - finger.patch.depth_mm) * normal

@@ -1,4 +1,4 @@
-"""What the tracker makes of a trial, against the truth."""
+"""Run the tracker on a trial and compare the result with the truth."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from tacshade_edge.types import F64
 from tools.studies.object_motion.trial import Trial
 
 CHI2_90: Final = (0.0, 2.706, 4.605, 6.251, 7.779, 9.236, 10.645)
-"""90 % of a sum of so many squares of normal values are below."""
+"""90 % quantiles of the chi-squared distribution, by degrees of freedom."""
 LEVER_MM: Final = 20.0
 ALIKE: Final = 0.2
-"""Sine of the angle, in motions whose rotations are multiplied by the lever, within which directions are the same."""
+"""Directions of motion within this sine of an angle count as equal; `LEVER_MM` converts rotations to lengths."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionRow:
-    """A trial; a column of object_motion.csv each.
+    """The result of a trial; each attribute is a column of object_motion.csv.
 
     Attributes
     ----------
     object, skin, event : str
     fingers : int
     patch_mm, turned_deg : float
-        How far the point that moved most truly moved, and the object turned, in the end.
+        At the end, true motion of the point that moved furthest, and true rotation of the object.
     translation_off_mm, rotation_off_deg : float
-        Error in the end, of the object's middle.
+        Errors at the end, of the object's middle and of its rotation.
     ellipsoid : float
-        Error in the end in terms of the covariance, over the bound of its 90 % ellipsoid.
+        Squared error at the end, weighted by the inverse covariance, over the bound of the 90 % ellipsoid.
     jump_mm : float
-        The greatest change of a point's error from one moment to the next.
+        Greatest change of a point's error from one moment to the next.
     hidden : int
-        Directions that some set of patches left unobserved while it held, by geometry.
+        Number of directions that the geometry left unobserved at some moment.
     named : bool
-        So many lines are reported, and all are among these directions.
+        Whether the tracker reports as many lines, all of them among these directions.
     step_ms : float
-        Mean time of a step, of one core.
+        Mean time of a step on one core.
     """
 
     object: str
@@ -60,7 +60,7 @@ class MotionRow:
 
 
 def score(trial: Trial) -> MotionRow:
-    """Run the tracker over a trial."""
+    """Run the tracker on a trial and score it."""
     tracker = ObjectTracker()
     jump_mm, spent_s, count = 0.0, 0.0, 0
     before: F64 | None = None
@@ -95,7 +95,7 @@ def score(trial: Trial) -> MotionRow:
 
 
 def _unseen(arms_mm: F64) -> F64:
-    """Directions (k, 6) of a motion that leaves all these places where they are."""
+    """Find the directions (k, 6) of motions that leave all these places where they are."""
     rows = []
     for x, y, z in arms_mm / LEVER_MM:
         rows.append(np.hstack((np.eye(3), ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))))
@@ -104,13 +104,13 @@ def _unseen(arms_mm: F64) -> F64:
 
 
 def _independent(directions: F64) -> F64:
-    """As many at right angles as differ from each other."""
+    """Find orthogonal directions that span all given directions that differ."""
     _, sizes, alone = np.linalg.svd(directions, full_matrices=False)
     return np.asarray(alone[sizes > ALIKE])
 
 
 def _names(found: ObjectMotion, hidden: F64, middle_mm: F64) -> bool:
-    """Whether all lines are directions that are hidden, and as many."""
+    """Whether the reported lines are all among the hidden directions, and equal in number."""
     for line in found.unobserved:
         if line.through_mm is None:
             return False
@@ -127,7 +127,7 @@ def _degrees(rotation: F64) -> float:
 
 
 def _ellipsoid(found: ObjectMotion, truth: Rigid) -> float:
-    """Squared error by the covariance, over the 90 % bound of the directions that are observed."""
+    """Compute the squared error, weighted by the inverse covariance, over its 90 % bound in the observed directions."""
     off_mm = found.about_mm + found.translation_mm - truth.apply(found.about_mm)
     error = np.append(off_mm, turned_rad(found.rigid().rotation @ truth.rotation.T))
     return float(error @ np.linalg.solve(found.covariance, error)) / CHI2_90[max(1, 6 - len(found.unobserved))]

@@ -1,4 +1,4 @@
-"""Rows to tables."""
+"""Turn the rows into tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEADER: Final = (
 
 
 def text(rows: Sequence[MotionRow]) -> str:
-    """Write a table for each event: all trials by the number of fingers, then those of each object and skin."""
+    """Write a table per event, with rows by number of fingers: for all trials, then for each object and skin."""
     parts = []
     for event in dict.fromkeys(row.event for row in rows):
         some = [row for row in rows if row.event == event]

@@ -1,4 +1,4 @@
-"""One grasp over time: what the fingers report, and how the object truly moves."""
+"""A grasp over time: the fingers' reports, and the object's true motion."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from tacshade_edge.types import F64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """What a hand knows at a time.
+    """The patches of a hand at one time, and the truth.
 
     Attributes
     ----------
     t_ns : int
     patches : mapping
-        Of every contact, by a key that it keeps.
+        The patch of every contact, by a key that stays the same.
     moved : Rigid
         The object's true motion since the first moment, in the hand's frame.
     """
@@ -30,16 +30,17 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A grasp; whatever makes these is a source of the study.
+    """A grasp over time.
 
     Attributes
     ----------
     object, skin, event : str
-        What is held, the errors that are drawn or the sensors that see it, and what happens.
+        The held object, the kind of errors or sensors, and the event.
     fingers : int
-        At the most.
+        Greatest number of fingers.
     points_mm : float64 (n, 3)
-        Points of the object in the hand's frame at the first moment, its middle first: errors and jumps are theirs.
+        Points of the object in the hand's frame at the first moment, its middle first; errors and jumps are measured
+        at these points.
     moments : iterable of Moment
     """
 

@@ -1,1 +1,1 @@
-"""Slip over time: how soon it is reported, and how often falsely."""
+"""Study how soon a slip is reported, and how often falsely."""

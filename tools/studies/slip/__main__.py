@@ -1,4 +1,4 @@
-"""Slips and releases over time: how soon each is reported, and how often falsely.
+"""Measure how soon slips and releases are reported, and how often falsely.
 
 ::
 

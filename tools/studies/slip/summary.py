@@ -1,4 +1,4 @@
-"""Rows to the figures that are quoted, and the figures to tables."""
+"""Turn the rows into figures, and the figures into tables."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from tacshade_edge.studies.tables import markdown
 from tools.studies.slip.work import HeldRow, ReleaseRow, Row, SlideRow
 
 WITHIN_S, EARLY_S = 0.1, 0.05
-"""Latest report of a slip after its onset that is in time, and earliest before it that is not false, s."""
+"""Limits in s: a report is in time up to `WITHIN_S` after the onset, and false more than `EARLY_S` before it."""
 
 
 def is_early(row: SlideRow) -> bool:
-    """Whether a slip was reported before anything slid as a whole."""
+    """Whether a slip was reported before the whole contact slid."""
     return row.told_s < row.onset_s - EARLY_S or (np.isnan(row.onset_s) and not np.isnan(row.told_s))
 
 
 def is_in_time(row: SlideRow) -> bool:
-    """Whether a slip was reported within `WITHIN_S` of its onset, and not early."""
+    """Whether a slip was reported within `WITHIN_S` of its onset, but not early."""
     return not is_early(row) and row.told_s <= row.onset_s + WITHIN_S
 
 

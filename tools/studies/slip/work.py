@@ -1,4 +1,4 @@
-"""The jobs of the study: objects that slide over calibrated sensors, that are held, and that are lifted off."""
+"""The jobs of the study: objects slide over calibrated sensors, are held, or are lifted off."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from tools.testbed.simulator.moving_scene import MovingScene
 
 FPS = 60
 OBJECT_NAMES = ("ball", "cube")
-"""A round one and one with edges, neither wider than its way."""
+"""A round object and one with edges, both narrower than `WAY_MM`."""
 SPEEDS_MM_S = (5.0, 10.0, 20.0)
 DIRECTIONS_DEG = (20.0, 200.0)
 DEPTH_MM, WAY_MM, HELD_DRAG_MM = 2.5, 8.0, 1.0
-"""On a skin of 20 mm."""
+"""Depth, path and drag, on a skin of 20 mm."""
 HELD_S = 600.0
-"""Over all that are held."""
+"""Time that is shared by all held objects."""
 SETTLED_S = 1.0
-"""After it was dragged an object is held still so long before it counts: the skin creeps."""
+"""How long an object rests after its drag before frames count, because the skin creeps."""
 RELEASED_S, AFTER_S = 600.0, 3.0
-"""After releases, over all of them; and after each: its dent is gone."""
+"""Total time that the study sees after releases, and time after each release, in which its dent recovers."""
 SOON_S, LATER_FPS = 0.2, 10
-"""So long after a release every frame is looked at, then so many a second."""
+"""Time after a release in which the study sees every frame, and frames per second after that."""
 LIFT_MM_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is studied; equal plans give equal rows."""
+    """The parameters of a study; equal plans give equal rows."""
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
@@ -53,18 +53,18 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class SlideRow:
-    """An object that is dragged until it slides, by one profile; a column of slip_slides.csv each.
+    """An object that is dragged until it slides, seen by one profile; each attribute is a column of slip_slides.csv.
 
     Attributes
     ----------
     profile, sensor, object : str
     speed_mm_s, direction_deg : float
     onset_s : float
-        When the whole contact slides, by the truth; NaN: it never does.
+        When the whole contact truly slides; NaN: never.
     told_s : float
-        When that was first reported; NaN: never.
+        When a slip was first reported; NaN: never.
     found_mm_s, true_mm_s : float
-        Speed over the skin 0.15 s after the onset; NaN where none is reported.
+        Speed over the skin 0.15 s after the onset; NaN if none is reported.
     """
 
     profile: str
@@ -80,7 +80,7 @@ class SlideRow:
 
 @dataclass(frozen=True, slots=True)
 class HeldRow:
-    """An object that was dragged by less than it slides, and is held; a column of slip_held.csv each."""
+    """An object that was dragged too little to slide and is held; each attribute is a column of slip_held.csv."""
 
     profile: str
     sensor: str
@@ -91,19 +91,19 @@ class HeldRow:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseRow:
-    """An object that is lifted off, by one profile; a column of slip_releases.csv each.
+    """An object that is lifted off, seen by one profile; each attribute is a column of slip_releases.csv.
 
     Attributes
     ----------
     profile, sensor, object : str
     depth_mm : float
-        It was held so deep for half a second.
+        Depth at which it was held for half a second.
     dent_mm : float
-        Greatest h that is left when nothing touches.
+        Greatest h that remains when nothing touches.
     told_s : float
-        From the first frame of which nothing touches to the first that is told so; NaN: not within `AFTER_S`.
+        Time from the first frame without contact to the first frame reported as such; NaN: not within `AFTER_S`.
     frames, phantoms : int
-        Frames after that one, and in how many something is told to touch.
+        Number of frames after that report, and of those in which a contact is reported.
     """
 
     profile: str
@@ -124,7 +124,7 @@ def study(plan: Plan, workers: Workers, report: Report) -> tuple[Row, ...]:
     found = calibrate_sensors(plan.sensors, REFERENCES, PRESSES, workers, report)
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what, speed) for each in known for what in plan.objects for speed in (*plan.speeds_mm_s, 0.0)]
-    tasks.sort(key=lambda task: task[-1])  # those that are held, the longest, first
+    tasks.sort(key=lambda task: task[-1])  # held objects take longest, so they come first
     return tuple(chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects that slide or are held")))
 
 
@@ -140,7 +140,7 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str, float]) -> list[Row]:
 
 
 def way_of(name: SensorName, object_name: str, direction_deg: float) -> Motion:
-    """Come down at one side of the tip, for a way across it."""
+    """Press an object on one side of the tip, ready for a path across the tip."""
     scale = name.make().model.skin_radius_mm / 20
     x, y = (-0.4 * WAY_MM * scale * f(math.radians(direction_deg)) for f in (math.cos, math.sin))
     return pressed(Press(OBJECTS[object_name](), x, y, DEPTH_MM * scale, 30.0, scale), 0.0, LIFT_MM_S).held(0.3)

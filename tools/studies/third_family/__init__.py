@@ -1,1 +1,1 @@
-"""The third family of sensors: its skin's mechanics are MuJoCo's, and it judges only (README.md)."""
+"""The third family of sensors, whose skin MuJoCo solves and which only judges networks (README.md)."""

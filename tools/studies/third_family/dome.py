@@ -1,7 +1,7 @@
-"""A soft dome: its parameters, drawn in two disjoint ranges, and its mesh of tetrahedra.
+"""A soft dome: its parameters, drawn from two disjoint ranges, and its mesh of tetrahedra.
 
-A rubber skin stands on a gel that is bonded to a stiff core, the window that the camera looks through; the rim is
-clamped. Both are layers of tetrahedra over one triangulation of the sphere, fine at the tip and coarse at the rim.
+A rubber skin lies on a gel, which is bonded to a stiff core, the window in front of the camera; the rim is clamped.
+Skin and gel are layers of tetrahedra over one triangulation of the sphere, fine at the tip and coarse at the rim.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel, rando
 from tacshade_edge.types import F64, I64
 
 FINE_DEG = 26.0
-"""Up to this angle from the tip the mesh has its finest edges; they grow towards the rim."""
+"""Up to this angle from the tip, the mesh has its shortest edges; beyond, they grow towards the rim."""
 
 COARSER = 3.0
-"""How much longer edges are at the rim than at the tip, beside 1."""
+"""Edges at the rim are longer by this multiple of the edges at the tip."""
 
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "working": {
@@ -37,7 +37,7 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
         "friction": (0.8, 1.0),
     },
 }
-"""What a dome is drawn from. ``final`` is opened once, at the end: no network is looked at on it before."""
+"""Ranges from which domes are drawn. Nobody evaluates a network on ``final`` before all work on networks is done."""
 
 FIRST_SEED = {"working": 31000, "final": 39000}
 """Seeds of the sensors' print, camera and light; no other family uses them."""
@@ -50,15 +50,15 @@ class Dome:
     Attributes
     ----------
     radius_mm : float
-        Of the skin, whose outside is what touches and what the camera is taken to see.
+        Radius of the skin's outside, which touches and which the camera is assumed to see.
     skin_mm : float
-        Its thickness.
+        Thickness of the skin.
     gel_part : float
-        Depth of the gel below it, as a part of the radius.
+        Thickness of the gel below the skin, as a part of the radius.
     stiffness_ratio : float
-        Young's modulus of the skin over that of the gel; forces have no unit here, so the gel's is 1.
+        Young's modulus of the skin over that of the gel; forces have no unit here, so the gel's modulus is 1.
     poisson : float
-        Of both.
+        Poisson's ratio of skin and gel.
     friction : float
         Coulomb's coefficient.
     """
@@ -78,12 +78,12 @@ class Mesh:
     Attributes
     ----------
     points_mm : float64 (N, 3)
-        In the sensor frame; the first `surface` are the skin's outside.
+        Points in the sensor frame; the first `surface` ones are the skin's outside.
     surface : int
     skin, gel : int (M, 4)
         Corners of the tetrahedra, right-handed.
     clamped : bool (N,)
-        At the rim or on the core.
+        Whether a point is at the rim or on the core.
     """
 
     points_mm: F64
@@ -94,12 +94,12 @@ class Mesh:
 
 
 def drawn(range_name: str, number: int) -> tuple[SensorModel, Dome]:
-    """Draw a sensor: its print and camera as those trained on, its dome from a range."""
+    """Draw a sensor: its print and camera as for the training family, its dome from a range."""
     seed = FIRST_SEED[range_name] + number
     model = random_model(seed)
     rng = np.random.default_rng((seed, 41))
     values = {name: float(rng.uniform(*span)) for name, span in RANGES[range_name].items()}
-    # The map of the material is in the skin itself (`seen.deformed`): the renderer need not carry anything.
+    # The skin itself contains the material's motion (`seen.deformed`), so the renderer must not add friction.
     return replace(model, friction=0.0), Dome(radius_mm=model.skin_radius_mm, **values)
 
 
@@ -118,7 +118,7 @@ def meshed(dome: Dome, edge_mm: float, gel_layers: int = 3) -> Mesh:
 
 
 def cap(radius_mm: float, edge_mm: float) -> tuple[F64, I64]:
-    """Unit vectors (N, 3) from the tip to the rim, in rings, and triangles (M, 3) between them."""
+    """Make unit vectors (N, 3) in rings from the tip to the rim, and triangles (M, 3) between them."""
     rim = math.radians(RIM_HALF_ANGLE_DEG)
     fine = math.radians(FINE_DEG)
     points, angle, ring = [(0.0, 0.0, 1.0)], 0.0, 0
@@ -136,14 +136,14 @@ def cap(radius_mm: float, edge_mm: float) -> tuple[F64, I64]:
 
 
 def volumes(points_mm: F64, corners: I64) -> F64:
-    """Signed volumes (M,) of tetrahedra in mm³."""
+    """Compute the signed volumes (M,) of tetrahedra in mm³."""
     p = points_mm[corners]
     a, b, c = (p[:, k] - p[:, 0] for k in (1, 2, 3))
     return np.asarray(np.einsum("ij,ij->i", np.cross(a, b), c) / 6)
 
 
 def _layer(triangles: I64, count: int, outer: int) -> I64:
-    """Cut the prisms between two layers; the order of the corners makes neighbours' cuts agree."""
+    """Cut the prisms between two layers into tetrahedra; sorted corners make the cuts of neighbours agree."""
     a, b, c = (np.sort(triangles, axis=1) + outer * count).T
     below = count
     return np.concatenate(

@@ -1,11 +1,11 @@
-"""Judge the shipped networks on the third family: errors, shear, intervals and what was refused, as tables.
+"""Judge the shipped networks on the third family, with a table of errors, shear, intervals and refused frames.
 
 ::
 
     .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--out FOLDER]
 
-FOLDER has the mechanics (states.py); the engine is not needed. Every sensor is calibrated on references alone.
-``--out`` writes a row for each frame and profile to third-family.csv, and ``--pictures`` the frames as PNG.
+FOLDER contains the solved mechanics (states.py), so MuJoCo is not needed. Every sensor is calibrated only on
+references. ``--out`` writes a row for each frame and profile to third-family.csv; ``--pictures`` writes PNG frames.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ from tools.studies.third_family.states import kept_file, read
 
 PROFILES = ("accurate", "balanced", "fast")
 LEAST_TRUE_CELLS = 30
-"""A frame whose skin truly touches in fewer pixels is not judged."""
+"""A frame with fewer pixels of true contact is not judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictured:
-    """A state as the camera sees it, and what is true of it."""
+    """A state as the camera sees it, and its truth."""
 
     label: Label
     dragged: bool
@@ -58,7 +58,7 @@ class Pictured:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One frame by one profile; a column of third-family.csv each, empty where it is NaN.
+    """One frame, judged with one profile; each attribute is a column of third-family.csv, empty for NaN.
 
     Attributes
     ----------
@@ -66,13 +66,13 @@ class Judged:
     dragged : bool
     drag_mm, true_depth_mm, found_depth_mm : float
     refused : str
-        Why, or empty.
+        Why the frame was refused, or empty.
     me_mm, sd_pct : float
         Eqs. 13 and 14.
     shear_error_mm : float
-        Median distance of the found shear to the true one over the cells found in contact.
+        Median distance between found and true shear over the cells found in contact.
     cells, covered : int
-        Cells found in contact, and those whose 90 % interval holds the true height.
+        Number of cells found in contact, and of those whose 90 % interval holds the true height.
     """
 
     profile: str
@@ -91,7 +91,7 @@ class Judged:
 
 
 def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iterator[Pictured]:
-    """Draw every state of a sensor whose mechanics are kept."""
+    """Draw every stored state of a sensor."""
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     for k, way in enumerate(ways(dome, FIRST_SEED[range_name] + sensor, way_count)):
@@ -115,7 +115,7 @@ def calibrated(range_name: str, sensor: int) -> Calibration:
 
 
 def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged:
-    """Compare a reconstruction with its truth."""
+    """Compare a reconstruction with the truth."""
     row = score(each.label, KnownTruth.of(each.truth), result)
     i, j = np.nonzero(result.height.contact)
     at = (origin + result.height.step_px * k.astype(float) for origin, k in (
@@ -147,7 +147,7 @@ def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged
 
 
 def table(rows: list[Judged]) -> str:
-    """One line for each profile, pressed and dragged."""
+    """Write a table with a line for each profile, pressed and dragged."""
     lines = [
         "| skin | profile | frames | refused | missed | ME mm | SD % | depth off % | shear off mm "
         "| in the 90 % interval % |",
@@ -173,7 +173,7 @@ def table(rows: list[Judged]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse, judge, print."""
+    """Judge all sensors and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--range", choices=RANGES, default="working")
     parser.add_argument("--sensors", type=int, default=6)

@@ -1,11 +1,11 @@
-"""Show that a finer mesh changes little: the same ways on meshes of several fineness, compared with the finest.
+"""Show that a finer mesh changes little: solve the same paths on coarser and finer meshes and compare them.
 
 ::
 
     nice PYTHON -m tools.studies.third_family.mesh_check [--edges-mm 1.3,1.0] [--ways 3]
 
-PYTHON has the engine (requirements.txt). Heights and shears are compared on the skin's grid, in the contact of
-the finest mesh and where its skirt is deeper than 0.1 mm.
+PYTHON must have MuJoCo (requirements.txt). Each mesh is compared with the finest on the skin's grid: heights and
+shears in the finest mesh's contact, and heights where its skirt is deeper than 0.1 mm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tools.studies.third_family.seen import TOUCHING_MM, deformed
 
 
 def compared(fine: Skin, coarse: Skin, press: Press) -> tuple[float, float, float, float]:
-    """Median and 95th percentile of |h - h| in contact, median beside it (h over 0.1 mm), and of shear; mm."""
+    """Compute differences in mm: median and 95 % quantile of h in contact, its median in the skirt, median of shear."""
     points = node_directions(fine.radius_mm).astype(np.float64) * (fine.radius_mm - fine.height_mm)[..., None]
     distance = distance_mm((press,), fine.radius_mm, points.reshape(-1, 3)).reshape(fine.height_mm.shape)
     contact = distance <= TOUCHING_MM
@@ -39,7 +39,7 @@ def compared(fine: Skin, coarse: Skin, press: Press) -> tuple[float, float, floa
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Solve each way on each mesh and print a table."""
+    """Solve each path on each mesh and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--edges-mm", default="1.3,1.0", help="at the tip of a skin of 20 mm; the finest last")
     parser.add_argument("--gel-layers", default="3,4", help="for each of them")

@@ -1,4 +1,4 @@
-"""What is done to a dome: an object comes along -z, is dragged along the skin and turned; two states of each way."""
+"""Paths of objects on a dome: an object comes down along -z, then is dragged and turned, so a path has two states."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from tacshade_edge.simulator.press import Press
 from tools.studies.third_family.dome import Dome
 
 Solid = tuple[str, tuple[float, ...], tuple[float, float, float], tuple[float, float, float]]
-"""Kind of a MuJoCo geom, its half sizes, its middle and its Euler angles, in mm and degrees in the object's frame."""
+"""A MuJoCo geom: kind, half sizes, middle and Euler angles, in mm and degrees in the object's frame."""
 
 ROUNDING_MM = 0.2
-"""The skin's points carry balls of this radius and the solids are so much smaller: edges are rounded as printed."""
+"""The skin's points carry balls of this radius, and solids are smaller by it, so edges are as round as printed ones."""
 
 DEEPEST_PART = 0.45
-"""Of the skin's and the gel's thickness, and 4 mm: the engine's material is for no greater compression."""
+"""Depths are at most this part of the thickness of skin and gel, and 4 mm; the material law allows no more."""
 
 PLATE_MM = 25.0
-"""Its radius."""
+"""Radius of the plate."""
 
-_BOX = 15.0 - ROUNDING_MM  # half the height of what is extruded
+_BOX = 15.0 - ROUNDING_MM  # half the height of extruded solids
 SOLIDS: dict[str, tuple[Solid, ...]] = {
     "ball": (("sphere", (5.8,), (0, 0, 6.0), (0, 0, 0)),),
     "cube": (("box", (4.8, 4.8, _BOX), (0, 0, 15), (0, 0, 0)),),
@@ -39,28 +39,28 @@ SOLIDS: dict[str, tuple[Solid, ...]] = {
         ("sphere", (3.3,), (5.0, 0, 3.5), (0, 0, 0)),
     ),
 }
-"""The simulator's objects as the engine's solids, less `ROUNDING_MM`."""
+"""The simulator's objects as MuJoCo solids, smaller by `ROUNDING_MM`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One object's way on one dome.
+    """The path of one object on one dome.
 
     Attributes
     ----------
     object_name : str
     press : Press
-        Its end, after drag and twist.
+        The end of the path, after drag and twist.
     """
 
     object_name: str
     press: Press
 
     def pressed(self, skin_radius_mm: float) -> Press:
-        """The same object before it was dragged and turned."""
+        """Return the press of the same object before drag and twist."""
         press = self.press
         x, y = press.x_mm - press.drag_x_mm, press.y_mm - press.drag_y_mm
-        # Rotation about its own axis is turned back about z: the same for what is not tilted.
+        # The twist about the object's own axis is undone about z, which is the same for an untilted object.
         lowest = press.lowest_z_mm(skin_radius_mm)
         depth = math.sqrt(skin_radius_mm**2 - x * x - y * y) - lowest
         return replace(
@@ -70,14 +70,14 @@ class Way:
 
 
 def plate_depth_mm(pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
-    """`Press.depth_mm`, of its lowest edge, of a tilted plate over the tip pressed so far along its normal."""
+    """Compute `Press.depth_mm` (of the lowest edge) for a tilted plate over the tip, pressed along its normal."""
     upright = math.cos(math.radians(tilt_x_deg)) * math.cos(math.radians(tilt_y_deg))
     middle_mm = (radius_mm - pressed_mm) / upright
     return radius_mm - middle_mm + PLATE_MM * scale * math.sqrt(1 - upright * upright)
 
 
 def ways(dome: Dome, seed: int, count: int) -> list[Way]:
-    """Draw an object, a place, a depth, a drag and a twist each; every third is tilted and not turned."""
+    """Draw paths with object, place, depth, drag and twist; plates and every third path are tilted but not twisted."""
     radius_mm = dome.radius_mm
     rng = np.random.default_rng((seed, 42))
     names, scale, made = list(SOLIDS), radius_mm / 20, []

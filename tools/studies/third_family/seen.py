@@ -1,4 +1,4 @@
-"""From the mesh's points to what the simulator draws and measures: a skin on its grid, a frame, the truth."""
+"""Turn the mesh's points into a skin on the simulator's grid, from which the simulator draws frames and the truth."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tacshade_edge.types import F64
 from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 TOUCHING_MM = 0.06
-"""Skin nearer to the object than this touches it: between points that touch, the mesh's skin lies so far off it."""
+"""Skin nearer to the object than this counts as touching, because it lies this far off between touching mesh points."""
 
 
 def deformed(radius_mm: float, rest_mm: F64, at_mm: F64) -> Skin:
-    """The skin through points (N, 3) that were at others at rest; smooth between them.
+    """Make a smooth skin through mesh points (N, 3), given their places at rest and now.
 
-    `Skin.origin_mm` has the whole way of the material, so the model's `friction` must be 0.
+    `Skin.origin_mm` contains the material's whole motion, so the model's `friction` must be 0.
     """
     flat = undeformed(radius_mm)
     n = len(flat.height_mm) // 2
@@ -34,14 +34,14 @@ def deformed(radius_mm: float, rest_mm: F64, at_mm: F64) -> Skin:
     return replace(
         flat,
         height_mm=smooth[..., 0],
-        # The grid has no part that leans for itself; that there is one allows touched skin that has moved outwards.
+        # No part of this skin leans, but a map of zeros allows contact where the skin has moved outwards.
         leaning_mm=np.zeros_like(flat.height_mm),
         origin_mm=smooth[..., 1:],
     )
 
 
 def seen_truth(skin: Skin, presses: Sequence[Press], model: SensorModel) -> Truth:
-    """`truth.measure`, where skin that lies in an object touches it too: the engine's contact gives way a little."""
+    """Measure the truth; skin inside an object also counts as touching, because MuJoCo's contact yields a little."""
     truth = measure(skin, presses, model.geometry, (model.image_height_px, model.image_width_px))
     rows, cols = np.nonzero(np.isfinite(truth.height_mm))
     points = skin_points(skin, model.geometry, rows.astype(float), cols.astype(float))
@@ -52,7 +52,7 @@ def seen_truth(skin: Skin, presses: Sequence[Press], model: SensorModel) -> Trut
 
 
 def renderer(model: SensorModel, seed: int) -> VariedRenderer:
-    """Print pins and markers: on the hexagonal lattice or on another, frusta, caps or pins with a waist."""
+    """Draw a print: on the hexagonal or another lattice, with frusta, caps or pins with a waist."""
     rng = np.random.default_rng((seed, 43))
     marks = None if rng.random() < 0.5 else lattice_print(model, float(rng.uniform(60, 90)))
     kind = int(rng.integers(3))

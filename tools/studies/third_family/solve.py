@@ -1,8 +1,8 @@
-"""The mechanics: MuJoCo's tetrahedra under a rigid object with friction, in steps so long that inertia has no part.
+"""The mechanics: MuJoCo's tetrahedra under a rigid object with friction, in steps so long that inertia plays no role.
 
-The object is a heavy body that is moved by its velocity. Every point of the skin's outside carries a small ball that
-touches it, so contact is between points and a rigid surface, with Coulomb's law. A step of the engine's `discrete`
-integrator is one Newton step of the static problem: elasticity and contact are implicit in it.
+The object is a heavy body with a prescribed velocity. Every point of the skin's outside carries a small ball that can
+touch the object, so contact is between points and a rigid surface and follows Coulomb's law. A step of MuJoCo's
+`discrete` integrator is one Newton step of the static problem, with implicit elasticity and contact.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from tools.studies.third_family.dome import Dome, Mesh, meshed, volumes
 from tools.studies.third_family.paths import ROUNDING_MM, SOLIDS, Way
 
 EDGE_MM = 1.3
-"""Of the mesh at the tip, on a skin of 20 mm."""
+"""Edge length of the mesh at the tip, on a skin of 20 mm."""
 APPROACH_MM, DRAG_MM, TWIST_DEG, SETTLING = 0.35, 0.2, 1.5, 12
-"""Steps on the way, and steps that the object rests after."""
+"""Greatest motions in one step, and the number of steps in which the object then rests."""
 
-_DENSITY = 5e-3  # m / dt²: heavy enough that contact, whose stiffness is 10,000 times that, is stiff to the gel
+_DENSITY = 5e-3  # m / dt²; contact is 10,000 times as stiff, so this makes it stiff compared with the gel
 _DAMPING = 3.0
 
 
@@ -34,11 +34,11 @@ class State:
     Attributes
     ----------
     at_mm : float64 (N, 3)
-        Where its points are.
+        Positions of its points.
     penetration_mm : float
-        How far the deepest of them lies in the object.
+        How deep the deepest point lies inside the object.
     stirring_mm : float
-        Greatest movement in the last step of rest.
+        Greatest motion in the last step of rest.
     """
 
     at_mm: F64
@@ -58,9 +58,9 @@ def solved(dome: Dome, way: Way, edge_mm: float = EDGE_MM, gel_layers: int = 3) 
     Raises
     ------
     RuntimeError
-        The engine lost its way.
+        MuJoCo warned of a bad state.
     """
-    mujoco.set_mju_user_warning(lambda _: None)  # it would write a file here; `_moved` looks at what it counted
+    mujoco.set_mju_user_warning(lambda _: None)  # MuJoCo would write a file here; `_moved` checks its counts
     mesh = meshed(dome, edge_mm * dome.radius_mm / 20, gel_layers)
     model = mujoco.MjModel.from_xml_string(_xml(dome, mesh, way))
     data = mujoco.MjData(model)
@@ -85,7 +85,7 @@ def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh
         before = data.qpos.copy()
         mujoco.mj_step(model, data)
         data.qpos[:4] = goal
-    # It softens a stiffness that compression makes singular, and counts that; anything else is wrong.
+    # MuJoCo softens and counts stiffnesses that compression makes singular; any other warning is an error.
     softened = int(mujoco.mjtWarning.mjWARN_INERTIA)
     if any(warning.number for kind, warning in enumerate(data.warning) if kind != softened):
         raise RuntimeError(f"the engine warned at {data.qpos[:4]}")
@@ -97,7 +97,7 @@ def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh
 
 
 def _clearance_mm(dome: Dome, way: Way) -> float:
-    """How far above its pressed place an object just leaves the undeformed skin."""
+    """Find how far above its pressed place an object just leaves the undeformed skin."""
     press, radius = way.pressed(dome.radius_mm), dome.radius_mm
     angle, around = np.meshgrid(np.linspace(0, math.radians(70), 120), np.linspace(0, 2 * math.pi, 120))
     skin = radius * np.stack(
@@ -140,7 +140,7 @@ def _solids(way: Way) -> str:
     press, made = way.press, []
     a = math.radians(press.rotation_deg)
     turn = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
-    # As it stands at the end, where the hinge is at 0.
+    # The object's orientation at the end of the path, where the hinge is at 0.
     own = Press(press.shape, tilt_x_deg=press.tilt_x_deg, tilt_y_deg=press.tilt_y_deg).tilt() @ turn
     for kind, sizes, middle, (about_x, about_y, _) in SOLIDS[way.object_name]:
         lying = Press(press.shape, tilt_x_deg=about_x, tilt_y_deg=about_y).tilt()

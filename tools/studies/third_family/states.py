@@ -1,10 +1,10 @@
-"""Solve the mechanics of a range's sensors, slowly, and keep them: a file for each way of an object.
+"""Solve the mechanics of a range's sensors, which is slow, and store a file for each object's path.
 
 ::
 
     nice PYTHON -m tools.studies.third_family.states --range working --sensors 6 --ways 6 --out FOLDER
 
-PYTHON has the engine (requirements.txt). What is in FOLDER already is left as it is.
+PYTHON must have MuJoCo (requirements.txt). Existing files in FOLDER stay as they are.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """What is kept of a way.
+    """The stored states of a path.
 
     Attributes
     ----------
     rest_mm, pressed_mm, dragged_mm : float64 (N, 3)
         The skin's points without an object, pressed, and dragged.
     penetration_mm, stirring_mm : float64 (2,)
-        Of `solve.State`, pressed and dragged.
+        The same as in `solve.State`, pressed and dragged.
     """
 
     rest_mm: F64
@@ -46,18 +46,18 @@ class Kept:
 
 
 def kept_file(folder: Path, range_name: str, sensor: int, way: int) -> Path:
-    """Where a way's states are kept."""
+    """Return the file of a path's states."""
     return folder / f"{range_name}-{sensor}-{way}.npz"
 
 
 def read(path: Path) -> Kept:
-    """Read a way's states. Raises FileNotFoundError."""
+    """Read a path's states. Raises FileNotFoundError."""
     with np.load(path) as file:
         return Kept(**{name: file[name] for name in Kept.__slots__})
 
 
 def keep(path: Path, rest: F64, pressed: State, dragged: State) -> None:
-    """Write a way's states, whole or not at all."""
+    """Write a path's states, completely or not at all."""
     part = path.with_suffix(".part.npz")
     np.savez_compressed(
         part, rest_mm=rest, pressed_mm=pressed.at_mm, dragged_mm=dragged.at_mm,
@@ -68,7 +68,7 @@ def keep(path: Path, rest: F64, pressed: State, dragged: State) -> None:
 
 
 def solve_all(range_name: str, sensors: int, count: int, folder: Path) -> None:
-    """Solve what is missing."""
+    """Solve the missing paths."""
     from tools.studies.third_family.solve import solved
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,7 +84,7 @@ def solve_all(range_name: str, sensors: int, count: int, folder: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse and solve."""
+    """Solve the missing paths of a range."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--range", choices=RANGES, default="working")
     parser.add_argument("--sensors", type=int, default=6)

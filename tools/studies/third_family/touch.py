@@ -1,13 +1,13 @@
-"""The touch model on the third family: learnt from plates, judged on other plates and on objects that it never saw.
+"""Judge the touch model on the third family: it learns from plates, and is judged on other plates and new objects.
 
 ::
 
     nice ENGINE/bin/python -m tools.studies.third_family.touch --solve --states STATES
     .venv/bin/python -m tools.studies.third_family.touch --states STATES
 
-The first line has the engine (requirements.txt) and is slow; what is in STATES already is left as it is. Of each way
-both states are frames: pressed, and then dragged and turned. `LABELS` frames of plates are labelled, the others
-judge; so do a ball and a bar, of which "right" is an error of at most twice that on the plates that judge.
+The first command needs MuJoCo (requirements.txt) and is slow; existing files in STATES stay as they are. Both states of
+each path give a frame: pressed, then dragged and turned. `LABELS` frames of plates are labelled. The other plates, a
+ball and a bar judge the model; an answer is "right" if its error is at most twice the mean error on the other plates.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SHOWN = {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5
 
 
 def ways(dome: Dome) -> list[tuple[Way, float]]:
-    """Plates, balls and bars of any depth, tilt, drag and twist, and how far each is pressed along its normal, mm."""
+    """Draw paths of plates (tilted), balls and bars, each with its travel along the object's normal in mm."""
     rng = np.random.default_rng((FIRST_SEED[RANGE], 43))
     scale = dome.radius_mm / 20
     deepest = min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / scale)
@@ -66,12 +66,12 @@ def ways(dome: Dome) -> list[tuple[Way, float]]:
 
 
 def kept_file(folder: Path, way: int) -> Path:
-    """Where a way's states are kept."""
+    """Return the file of a path's states."""
     return folder / f"touch-{RANGE}-{SENSOR}-{way}.npz"
 
 
 def solve_all(folder: Path) -> None:
-    """Solve what is missing."""
+    """Solve the missing paths."""
     from tools.studies.third_family.solve import solved
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -83,14 +83,14 @@ def solve_all(folder: Path) -> None:
 
 
 def label(way: Way, pressed_mm: float, dragged: bool) -> tuple[float, ...]:
-    """What a robot knows: `NAMES`."""
+    """Return the label that a robot knows, in the order of `NAMES`."""
     press = way.press
     moved = (press.drag_x_mm, press.drag_y_mm, press.twist_deg) if dragged else (0.0, 0.0, 0.0)
     return (pressed_mm, press.tilt_x_deg, press.tilt_y_deg, *moved)
 
 
 def seen(folder: Path, profile: str) -> tuple[list[str], F32, F32, F64, F64]:
-    """Object, features, imprint and label of every frame in contact, and what is known of it without labels."""
+    """Return object, features, imprint, label, and the touch without labels, of every frame in contact."""
     model, dome = drawn(RANGE, SENSOR)
     draws = renderer(model, FIRST_SEED[RANGE] + SENSOR)
     chosen = PROFILES[profile]
@@ -114,13 +114,13 @@ def seen(folder: Path, profile: str) -> tuple[list[str], F32, F32, F64, F64]:
 
 
 def report(folder: Path) -> None:
-    """Learn, judge, print."""
+    """Learn, judge, and print the table."""
     lines = []
     for profile in ("balanced", "accurate"):
         objects, features, imprints, labels, plain = seen(folder, profile)
         plates = [k for k, name in enumerate(objects) if name == "plate"]
         order = np.random.default_rng(1).permutation(len(plates) // 2)
-        shuffled = [plates[2 * way + end] for way in order for end in (0, 1)]  # both states of a way on one side
+        shuffled = [plates[2 * way + end] for way in order for end in (0, 1)]  # a path's states stay together
         taught = shuffled[:LABELS]
         groups = np.arange(len(taught)) // 2
         learnt = learn(features[taught], imprints[taught], NAMES, labels[taught], groups, "study")
@@ -151,7 +151,7 @@ def report(folder: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse, solve or judge."""
+    """Solve the paths with ``--solve``, otherwise judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--states", type=Path, required=True)
     parser.add_argument("--solve", action="store_true")

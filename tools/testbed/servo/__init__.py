@@ -1,1 +1,1 @@
-"""A robot that presses the simulated sensor on a surface or an edge, behind a stand-in for ``rpicam-vid``."""
+"""A simulated robot that presses the simulated sensor on a surface or an edge; a fake ``rpicam-vid`` shows its view."""

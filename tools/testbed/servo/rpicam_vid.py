@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""A stand-in for ``rpicam-vid`` that acts as a robot and shows what the simulated sensor sees at its pose.
+"""A fake ``rpicam-vid`` that acts as a robot and shows what the simulated sensor sees at the robot's pose.
 
-Put a script of that name on the daemon's PATH that starts it. `SERVO` in the environment, a JSON object, says the rest:
-`scene` (surface, edge), `delay_s` of the robot, `port` (UDP, on loopback) where it hears ``vx vy vz wx wy wz``, `kept`
-(the folder of tables), and `log`, a CSV file with the true touch of each frame.
+Put a script named ``rpicam-vid`` that starts this program on the daemon's PATH. `SERVO` in the environment is a JSON
+object with the settings: `scene` (surface, edge), the robot's `delay_s`, `port` (UDP, on loopback) for commands
+``vx vy vz wx wy wz``, `kept` (the folder of tables), and `log`, a CSV file for the true touch of each frame.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def main() -> int:
         robot = LateRobot(place.start, told["delay_s"], began_s)
         print("t_ns,lost", *place.touch(robot.pose), "x_mm", sep=",", file=log)
         while True:
-            n = max(n + 1, int((time.monotonic() - began_s) / period_s))  # the frames between are lost
+            n = max(n + 1, int((time.monotonic() - began_s) / period_s))  # the frames in between are lost
             at_s = began_s + n * period_s
             time.sleep(max(0.0, at_s - time.monotonic()))
             while heard:

@@ -1,7 +1,7 @@
-"""The simulated sensor's skin under a plane and under the edge of a plate, interpolated: a frame in 7 ms, not in 30.
+"""The simulated sensor's skin under a plane or under a plate's edge, interpolated: a frame takes 7 ms instead of 30.
 
-A plane's skin is the same around the plane's normal, so one press of each depth serves every tilt; an edge's is turned
-about the sensor's axis. Both slide: nothing drags the skin.
+The skin under a plane is symmetric about the plane's normal, so one press per depth serves every tilt. The skin under
+an edge is turned about the sensor's axis. Plane and edge slide on the skin without drag.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tacshade_edge.types import F32, F64
 MODEL: Final = replace(
     SensorModel(), image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5
 )
-"""Its image is as wide as ``rpicam-vid`` can write it."""
+"""The sensor, whose image has a width that ``rpicam-vid`` can write."""
 DEEPEST_MM: Final = 4.0
 PLANE_DEPTHS_MM: Final = np.arange(0, DEEPEST_MM + 0.01, 0.1)
 EDGE_DEPTHS_MM: Final = np.arange(0, 3.51, 0.25)
@@ -33,20 +33,20 @@ _FREE = undeformed(MODEL.skin_radius_mm)
 
 
 class PlaneSkins:
-    """Skins under a plane of any depth and normal."""
+    """Skins under a plane at any depth and with any normal."""
 
     def __init__(self) -> None:
         directions = node_directions(MODEL.skin_radius_mm).astype(np.float32)
         middle = len(directions) // 2
         self._directions = directions
-        self._cosines = directions[middle, middle:, 2][::-1].astype(np.float64)  # np.interp wants them ascending
+        self._cosines = directions[middle, middle:, 2][::-1].astype(np.float64)  # ascending, for np.interp
         self._profiles = np.stack([
             _pressed(Press(OBJECTS["plate"](), depth_mm=float(depth)))[middle, middle:][::-1]
             for depth in PLANE_DEPTHS_MM
         ])  # fmt: skip
 
     def skin(self, depth_mm: float, normal: F64) -> Skin:
-        """The skin whose undeformed sphere reaches `depth_mm` beyond a plane with the unit normal (3,), away from O."""
+        """Make the skin that a plane, whose unit normal (3,) points away from O, presses by `depth_mm`."""
         step = float(PLANE_DEPTHS_MM[1])
         at = min(max(depth_mm, 0.0), DEEPEST_MM) / step
         low = min(int(at), len(PLANE_DEPTHS_MM) - 2)
@@ -61,7 +61,7 @@ class EdgeSkins:
     Parameters
     ----------
     kept : Path
-        Where the table is stored once it is made (about 10 s).
+        File for the table, which takes about 10 s to make.
     """
 
     def __init__(self, kept: Path) -> None:
@@ -72,20 +72,20 @@ class EdgeSkins:
         self._table: F32 = np.load(kept).reshape(shape)
 
     def skin(self, depth_mm: float, offset_mm: float, edge_deg: float) -> Skin:
-        """The skin under what `edge_press` places."""
+        """Make the skin under a press as placed by `edge_press`."""
         i, a = _between(depth_mm, EDGE_DEPTHS_MM)
         j, b = _between(offset_mm, OFFSETS_MM)
         t = self._table
         height = (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
         middle = len(height) // 2
-        turn = cv2.getRotationMatrix2D((middle, middle), -edge_deg, 1.0)  # its angles go from y towards x
+        turn = cv2.getRotationMatrix2D((middle, middle), -edge_deg, 1.0)  # OpenCV's angles go from y towards x
         return replace(_FREE, height_mm=cv2.warpAffine(height.astype(np.float32), turn, height.shape))
 
 
 def edge_press(depth_mm: float, offset_mm: float, edge_deg: float) -> Press:
-    """A half plane at z = r - `depth_mm`, on the side of its edge that is turned from x towards y by 90° more.
+    """Press a half plate at z = r - `depth_mm`, which lies in the direction `edge_deg` + 90° from its edge.
 
-    The edge goes along the direction `edge_deg`, from x towards y, at `offset_mm` from the axis towards the plate.
+    The edge runs in the direction `edge_deg`, from x towards y, at `offset_mm` from the axis towards the plate.
     """
     angle, r = math.radians(edge_deg), MODEL.skin_radius_mm
     x_mm, y_mm = -offset_mm * math.sin(angle), offset_mm * math.cos(angle)
@@ -100,7 +100,7 @@ def _half_plate(p: F64) -> F64:
 
 
 HALF_PLATE: Final = Shape("half plate", _half_plate)
-"""y > 0 and z > 0, its edge rounded by 0.2 mm."""
+"""The half plate with y > 0 and z > 0, whose edge is rounded by 0.2 mm."""
 
 
 def _pressed(press: Press) -> F32:
@@ -108,7 +108,7 @@ def _pressed(press: Press) -> F32:
 
 
 def _between(value: float, nodes: F64) -> tuple[int, float]:
-    """The node at or below a value, which is kept inside, and how far it is on the way to the next, 0 to 1."""
+    """Find the node at or below a value (clipped to the nodes), and the value's part of the way to the next, 0 to 1."""
     at = (min(max(value, float(nodes[0])), float(nodes[-1])) - float(nodes[0])) / float(nodes[1] - nodes[0])
     low = min(int(at), len(nodes) - 2)
     return low, at - low

@@ -1,4 +1,4 @@
-"""The pose at which a robot holds the sensor on a surface or at an edge: true touch, and a robot that lags."""
+"""A surface and an edge with the true touch at each pose of the sensor, and a robot that lags."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tools.testbed.servo.skins import MODEL, EdgeSkins, PlaneSkins
 WAVE_MM: Final = 80.0
 SWELL_MM: Final = 2.0
 SIDEWAYS: Final = 0.1
-"""Steepest slope of the surface across the way."""
+"""Steepest slope of the surface across the path."""
 LAG_S: Final = 0.03
 """Time constant of the robot's velocity."""
 _STEP_S = 0.002
@@ -27,21 +27,21 @@ _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
 
 
 class Scene(Protocol):
-    """What the sensor is pressed on; poses are ``base_T_sensor``."""
+    """The object under the sensor; poses are ``base_T_sensor``."""
 
     start: Rigid
 
     def touch(self, pose: Rigid) -> dict[str, float]:
-        """The true touch, by names of LABELS.csv."""
+        """Compute the true touch, with the names of LABELS.csv."""
         ...
 
     def skin(self, touch: Mapping[str, float]) -> Skin:
-        """The skin under a touch."""
+        """Make the skin under a touch."""
         ...
 
 
 class Surface:
-    """A surface with waves 4 mm high and 80 mm long, at most 9° steep along x and 6° across; flat under the sensor."""
+    """A surface with waves 4 mm high and 80 mm long, up to 9° steep along x and 6° across, drawn as a tangent plane."""
 
     start = shift(0, 0, MODEL.skin_radius_mm - 1.0) @ _DOWN
 
@@ -49,10 +49,10 @@ class Surface:
         self._skins = skins
 
     def touch(self, pose: Rigid) -> dict[str, float]:
-        """Depth along the normal at the nearest place, and the tilt of that normal."""
+        """Compute the depth along the normal at the nearest point, and the tilt of that normal."""
         x0, y0, z0 = pose.translation_mm.tolist()
         x, y, z = x0, y0, 0.0
-        for _ in range(12):  # a contraction: the surface's radii of curvature are over 80 mm
+        for _ in range(12):  # this converges, because the surface's radii of curvature are over 80 mm
             z = SWELL_MM * (1 - math.cos(_K * x)) + SIDEWAYS * y * math.sin(_K * x / 2)
             along = SWELL_MM * _K * math.sin(_K * x) + SIDEWAYS * y * _K / 2 * math.cos(_K * x / 2)
             across = SIDEWAYS * math.sin(_K * x / 2)
@@ -67,14 +67,14 @@ class Surface:
         }
 
     def skin(self, touch: Mapping[str, float]) -> Skin:
-        """Under the plane that touches the surface there."""
+        """Make the skin under the surface's tangent plane."""
         b, c = math.radians(touch["tilt_x_deg"]), math.radians(touch["tilt_y_deg"])
         normal = np.array((math.cos(b) * math.sin(c), -math.sin(b), math.cos(b) * math.cos(c)))
         return self._skins.skin(touch["depth_mm"], normal)
 
 
 class Edge:
-    """A flat plate at right angles to the sensor, whose edge has waves 4 mm high and 80 mm long, straight under it."""
+    """A flat plate at right angles to the sensor; its edge has waves 4 mm high and 80 mm long but is drawn straight."""
 
     start = shift(0, 0, MODEL.skin_radius_mm - 1.0) @ _DOWN
 
@@ -82,7 +82,7 @@ class Edge:
         self._skins = skins
 
     def touch(self, pose: Rigid) -> dict[str, float]:
-        """How deep the tip is below the plate's top; where the edge crosses the sensor's y axis, and its direction."""
+        """Compute the tip's depth below the plate's top, the edge's place on the sensor's y axis, and its direction."""
         x0, y0, z0 = pose.translation_mm.tolist()
         x = x0
         for _ in range(12):
@@ -99,26 +99,26 @@ class Edge:
         }
 
     def skin(self, touch: Mapping[str, float]) -> Skin:
-        """Under the straight edge that touches this one there."""
+        """Make the skin under the edge's tangent."""
         angle_deg = touch["edge_deg"]
         offset_mm = touch["y_mm"] * math.cos(math.radians(angle_deg))
         return self._skins.skin(touch["depth_mm"], offset_mm, angle_deg)
 
 
 def scene(name: str, kept: Path) -> Scene:
-    """`surface` or `edge`; `kept` is the folder of tables."""
+    """Make the scene `surface` or `edge`; `kept` is the folder of tables."""
     return Surface(PlaneSkins()) if name == "surface" else Edge(EdgeSkins(kept / "edge_skins.npy"))
 
 
 class LateRobot:
-    """Moves as it is told, after a delay, with a velocity that follows within `LAG_S`.
+    """Obeys commands after a delay, with a velocity that follows with the time constant `LAG_S`.
 
     Parameters
     ----------
     pose : Rigid
         ``base_T_sensor`` at `now_s`.
     delay_s : float
-        From a command's arrival until it has any effect.
+        Time from a command's arrival to its first effect.
     now_s : float
     """
 
@@ -129,11 +129,11 @@ class LateRobot:
         self._asked = self._velocity = np.zeros(6)
 
     def hear(self, at_s: float, velocity: F64) -> None:
-        """Take a command: mm/s and °/s (6,) of the tip, along and about the sensor's axes."""
+        """Take a command: the tip's velocity (6,) in mm/s and °/s, along and about the sensor's axes."""
         self._waiting.append((at_s + self._delay_s, velocity))
 
     def go_on(self, until_s: float) -> None:
-        """Move."""
+        """Move until a time in s."""
         while self._now_s + _STEP_S <= until_s:
             while self._waiting and self._waiting[0][0] <= self._now_s:
                 self._asked = self._waiting.popleft()[1]

@@ -1,1 +1,1 @@
-"""What the simulated sensor has for tests and studies alone."""
+"""Parts of the simulated sensor that only tests and studies use."""

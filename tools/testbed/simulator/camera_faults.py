@@ -1,4 +1,4 @@
-"""What goes wrong between a sensor and its image: functions from image to image, uint8 (H, W) or (H, W, 3)."""
+"""Faults between a sensor and its image, as functions from image to image, uint8 (H, W) or (H, W, 3)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tacshade_edge.types import U8
 
 
 def uneven(image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float) -> U8:
-    """Dim one side, as an LED of the ring that ages does: by `loss` (a ratio) at the rim there, not at all opposite."""
+    """Dim one side, like an ageing LED of the ring: by `loss` (a ratio) at its rim, by nothing at the opposite rim."""
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
     angle = np.radians(angle_deg)
     along = ((rows - row_c) * np.sin(angle) + (cols - col_c) * np.cos(angle)) / radius_px
@@ -20,7 +20,7 @@ def uneven(image: U8, row_c: float, col_c: float, radius_px: float, loss: float,
 
 
 def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
-    """Warm the camera and its LEDs up, all the way at `part` 1: 8 % less light, black 6 levels up, 0.3 % larger."""
+    """Warm up camera and LEDs, fully at `part` 1: 8 % less light, black 6 levels higher, an image 0.3 % larger."""
     zoom = 1 + 0.003 * part
     to_cold = np.array(((1 / zoom, 0, col_c * (1 - 1 / zoom)), (0, 1 / zoom, row_c * (1 - 1 / zoom))))
     size = (image.shape[1], image.shape[0])
@@ -30,7 +30,7 @@ def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
 
 
 def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220.0) -> U8:
-    """Add a highlight that fades over `radius_px` (its standard deviation)."""
+    """Add a Gaussian highlight with the standard deviation `radius_px`."""
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
     spot = grey * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * radius_px**2))
     if image.ndim == 3:
@@ -39,7 +39,7 @@ def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220
 
 
 def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.0) -> U8:
-    """Lay a grain of dust before the camera, or take a marker off: a dark spot with a soft edge."""
+    """Add a dark spot with a soft edge, like a grain of dust on the camera or a missing marker."""
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
     cover = np.clip(radius_px + 0.5 - np.hypot(rows - row, cols - col), 0, 1)
     if image.ndim == 3:
@@ -48,7 +48,7 @@ def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.
 
 
 def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:
-    """Show `other` from a row on, sideways by `shift_px`: two frames in one, or one that lost its line sync."""
+    """Show `other` from `row` on, shifted sideways by `shift_px`, like two frames in one or a lost line sync."""
     result = image.copy()
     result[row:] = np.roll(other[row:], shift_px, axis=1)
     return result

@@ -1,16 +1,16 @@
-"""Creep and recovery of the skin: the standard linear solid.
+"""Creep and recovery of the skin, as a standard linear solid.
 
-A spring in series with a spring and a dashpot side by side (Zener, Elasticity and Anelasticity of Metals, 1948;
-Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Viscoelastic Materials, 1976, ch. 5). With u what a load
-makes at once, the second spring follows τ e' = c u - e, so that
+The solid is a spring in series with a parallel spring and dashpot (Zener, Elasticity and Anelasticity of Metals, 1948;
+Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Viscoelastic Materials, 1976, ch. 5). With u the immediate
+deformation under a load, the second spring's e follows τ e' = c u - e, so that
 
-    e(t) = c/τ ∫ u(s) exp(-(t - s)/τ) ds:
+    e(t) = c/τ ∫ u(s) exp(-(t - s)/τ) ds.
 
-a load that is held lets u grow to u (1 + c (1 - exp(-t/τ))), and when it is gone e is left and decays by exp(-t/τ),
-from at most c / (1 + c) of the depth. Membrane and foundation of the skin are taken to be of one such solid. Then e
-is a shape that nothing holds, and the contact with it is the elastic one on a skin of that shape: the correspondence
-of Lee and Radok (J. Appl. Mech. 27, 1960), here for any history. Along the skin u is what an object drags, whose place
-is given and not its load; that differs by c² of it.
+Under a constant load, u grows to u (1 + c (1 - exp(-t/τ))). After the load is gone, e remains and decays by
+exp(-t/τ), from at most c / (1 + c) of the depth. Membrane and foundation of the skin are assumed to be the same solid.
+Then e is a shape without forces, and contact with the skin is elastic contact with a skin of this shape: the
+correspondence of Lee and Radok (J. Appl. Mech. 27, 1960), here for any history. Along the skin, u is an object's drag,
+of which the motion is given instead of the load; this causes a relative difference of c².
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _INVERSE_STEPS = 24
 
 
 def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float) -> F64:
-    """Weigh the knots of a history: e(t) is the sum of u at them, each by its weight.
+    """Compute the weights of a history's knots: e(t) is the weighted sum of u at the knots.
 
     Parameters
     ----------
     times_s : sequence of float (K,)
-        Increasing. Between two of them u goes straight from one value to the next, and it is 0 before and after.
+        Increasing times of the knots. u is linear between two knots, and 0 before the first and after the last.
     t_s : float
     creep_part, creep_s : float
         c and τ.
@@ -56,13 +56,13 @@ def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imprint:
-    """What a load makes of the skin at once, for the material to remember.
+    """The skin's immediate deformation under a load, which the material remembers.
 
     Attributes
     ----------
     skin : Skin
     pressed_mm : float32 (2n+1, 2n+1)
-        Its h by objects, not where the material is now but where it was without drag.
+        The h that objects cause, at the places where the material was without drag.
     """
 
     skin: Skin
@@ -70,28 +70,28 @@ class Imprint:
 
 
 def imprint(skin: Skin) -> Imprint:
-    """The imprint of an elastic skin."""
+    """Compute the imprint of an elastic skin."""
     if skin.origin_mm is None:
         return Imprint(skin, skin.pressed_mm)
     origin = skin.origin_mm / np.float32(skin.step_mm)
     before = _nodes(len(origin))
     now = before.copy()
-    for _ in range(_INVERSE_STEPS):  # a contraction: `drag` lets no skin fold
+    for _ in range(_INVERSE_STEPS):  # this converges, because `drag` lets no skin fold
         now = before - _sampled(origin, now)
     return Imprint(skin, _sampled(skin.pressed_mm, now))
 
 
 def rest(imprints: Sequence[Imprint], weights: Sequence[float], radius_mm: float, origin_mm: F32 | None) -> Skin:
-    """The shape that nothing holds: e of every node.
+    """Compute the shape without forces, which is e at every node.
 
     Parameters
     ----------
     imprints : sequence of Imprint
     weights : sequence of float
-        `kept`.
+        The imprints' weights from `kept`.
     radius_mm : float
     origin_mm : float32 (2n+1, 2n+1, 2) or None
-        `Skin.origin_mm` now: the material takes its dent along.
+        The present `Skin.origin_mm`, by which the material moves its dent.
     """
     flat = undeformed(radius_mm)
     pressed, leaning = np.zeros_like(flat.height_mm), np.zeros_like(flat.height_mm)
@@ -109,11 +109,11 @@ def rest(imprints: Sequence[Imprint], weights: Sequence[float], radius_mm: float
 
 
 def _nodes(size: int) -> F32:
-    """Column and row of every node, (size, size, 2)."""
+    """Make the column and row of every node, (size, size, 2)."""
     axis = np.arange(size, dtype=np.float32)
     return np.stack(np.meshgrid(axis, axis), axis=-1)
 
 
 def _sampled(grid: F32, at: F32) -> F32:
-    """A grid at columns and rows (.., 2), to a 32nd of a step; 0 outside."""
+    """Sample a grid at columns and rows (.., 2), precise to a 32nd of a step; 0 outside."""
     return np.asarray(cv2.remap(grid, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)

@@ -1,4 +1,4 @@
-"""Families of simulated sensors beside the product's own, for studies; to import this makes their names known."""
+"""More families of simulated sensors, for studies; importing this module registers their names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
 from tools.testbed.simulator.other_family import OtherSensor, other_model
 
 FINAL_SEED = 9000
-"""Sensors from this seed on are for final figures; nobody looks at them while working on what is measured."""
+"""Sensors from this seed on are for final figures; nobody evaluates them while working on the measured code."""
 
 
 def _usual(seed: int | None) -> SensorModel:
@@ -18,25 +18,25 @@ def _usual(seed: int | None) -> SensorModel:
 
 
 def other(seed: int | None) -> OtherSensor:
-    """Never trained on."""
+    """Make a sensor of the other family, on which no network was trained."""
     return OtherSensor(other_model(seed or 0))
 
 
-# One of its differences each.
+# Each of these families has one of the other family's differences.
 
 
 def square(seed: int | None) -> OtherSensor:
-    """The usual sensor on a square lattice."""
+    """Make a usual sensor with a square lattice."""
     return OtherSensor(_usual(seed), capped=False, two_scales=False)
 
 
 def capped(seed: int | None) -> OtherSensor:
-    """The usual skin with the other's mushroom pins."""
+    """Make a sensor with the usual skin and lattice, and the other family's mushroom pins."""
     return OtherSensor(other_model(seed or 0), square=False, two_scales=False)
 
 
 def two_scales(seed: int | None) -> OtherSensor:
-    """The usual print on the other's skin."""
+    """Make a sensor with the usual print on the other family's skin."""
     return OtherSensor(_usual(seed), square=False, capped=False)
 
 
@@ -50,7 +50,7 @@ def sensor_name(text: str) -> SensorName:
 
 
 def working_sensors(text: str) -> tuple[SensorName, ...]:
-    """Read ``[FAMILY:]SEED,...``, for argparse; those kept for final figures are refused."""
+    """Read ``[FAMILY:]SEED,...``, for argparse; refuse sensors that are kept for final figures."""
     names = study.sensors(text)
     kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
     if kept:

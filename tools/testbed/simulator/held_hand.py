@@ -1,4 +1,4 @@
-"""Frames of a hand that holds an object, with all truths: for studies of its motion and of how firmly it is held."""
+"""Frames of a hand that holds an object, with the truth, for studies of the object's motion and of the grip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.types import F64, U8
 
 STEP_S = 1 / 60
-"""An object's way is followed in steps of this, however few frames are taken."""
+"""The simulation follows an object's path in steps of at most this time, however few frames are taken."""
 
 
 class DrawnSensor(FingerSensor, Protocol):
@@ -30,13 +30,13 @@ class DrawnSensor(FingerSensor, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandFrame:
-    """A picture of every finger, taken at once.
+    """Pictures of all fingers, taken at the same time.
 
     Attributes
     ----------
     t_s : float
     images : tuple of uint8 (H, W, 3)
-        Of each finger, BGR.
+        Each finger's picture, BGR.
     skins : tuple of Skin
     truth : HandTruth
     """
@@ -61,18 +61,18 @@ def hand_frames(
     Parameters
     ----------
     sensors : sequence of DrawnSensor
-        One of its own for each finger: what rests is drawn once.
+        A separate sensor for each finger, so that each draws a resting skin only once.
     hand_T_sensors : sequence of Rigid
-        Where each of them holds.
+        Pose of each sensor.
     body : Shape
-        `simulator.hand.bodies`, or `mesh_shape`.
+        A shape from `simulator.hand.bodies` or `mesh_shape`.
     script : HandScript
     fps : float
-        1 to 60 are followed in steps of `STEP_S` or less; above that, of a frame each.
+        Up to 60, the steps are `STEP_S` or shorter; above, there is one step per frame.
     seed : int
-        Of the noise.
+        Seed of the noise.
     names : sequence of str
-        As many as sensors, or more.
+        Names of the fingers, at least as many as sensors.
     """
     fingers = [Finger(*each) for each in zip(names, hand_T_sensors, sensors, strict=False)]
     steps = max(1, math.ceil(1 / (fps * STEP_S) - 1e-9))
@@ -89,9 +89,10 @@ def hand_frames(
 
 
 def looking_at(point_mm: F64, along: F64, apex_mm: float, skin_radius_mm: float) -> Rigid:
-    """``hand_T_sensor`` of a finger whose undeformed apex is so far past a point, along a direction that it looks in.
+    """Compute ``hand_T_sensor`` of a finger that faces along a direction, with its undeformed apex past a point.
 
-    Its x lies across that direction and as near to the hand's x as can be; where that is none, to the hand's y.
+    Its x axis is at right angles to this direction and as close as possible to the hand's x axis, or to the hand's y
+    axis if the direction is almost along x.
     """
     z = along / np.linalg.norm(along)
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
@@ -102,6 +103,6 @@ def looking_at(point_mm: F64, along: F64, apex_mm: float, skin_radius_mm: float)
 
 
 def about(pose: Rigid, translation_mm: F64, rotation_rad: F64) -> Rigid:
-    """An object's pose after a turn about its own origin, and a move, both along the hand's axes."""
+    """Turn an object's pose about its own origin, then move it, both along the hand's axes."""
     turned = turn(rotation_rad).rotation @ pose.rotation
     return shift(*translation_mm.tolist()) @ Rigid(turned, pose.translation_mm)

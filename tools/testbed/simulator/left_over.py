@@ -1,4 +1,4 @@
-"""What a skin keeps of its shape after a release."""
+"""The dent that a skin keeps after a release."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tacshade_edge.simulator.skin import Skin
 
 
 def left_over(skin: Skin, part: float) -> Skin:
-    """What a skin that creeps keeps of its shape for a while after a release: the same dent, weaker, no object."""
+    """Make the shape that a creeping skin keeps for a while after a release: a weaker dent without the object."""
     weaker = np.float32(part)
     return replace(
         skin,

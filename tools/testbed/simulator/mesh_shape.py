@@ -1,6 +1,6 @@
-"""An object from a closed surface of triangles, such as an STL file has, as a signed distance on a grid.
+"""An object from a closed surface of triangles, as in an STL file, as a signed distance on a grid.
 
-Inside is from where a line along x leaves the surface an odd number of times.
+A point is inside if a line along x from it crosses the surface an odd number of times.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from tacshade_edge.simulator.objects import Shape
 from tacshade_edge.types import F32, F64
 
 STEP_MM = 1.0
-"""Of the grid; edges are rounded by about a third of it."""
+"""Step of the grid; edges are rounded by about a third of it."""
 _BLOCK = 8
 _BESIDE_MM = 4.0
-_OFF_MM = np.array((0.0, 0.0137, 0.0271))  # so that no line runs through a corner of what was drawn in round numbers
+_OFF_MM = np.array((0.0, 0.0137, 0.0271))  # keeps lines off corners at round coordinates
 
 
 def mesh_shape(triangles_mm: F64, step_mm: float = STEP_MM) -> Shape:
-    """Make a shape, about the origin that the triangles have.
+    """Make a shape with the same origin as the triangles.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def mesh_shape(triangles_mm: F64, step_mm: float = STEP_MM) -> Shape:
         for corner in np.ndindex(2, 2, 2):
             weight = np.prod(np.where(corner, part, 1 - part), axis=1)
             value += weight * grid[tuple((first + corner).T)]
-        # Beside the grid the nearest surface is a margin away at least.
+        # Outside the grid, the surface is at least the margin away from the grid's boundary.
         return np.where(beyond > 0, np.hypot(beyond, _BESIDE_MM), value).astype(p.dtype)
 
     return Shape("mesh", sdf)
 
 
 def _grid(triangles: F64, low: F64, counts: np.typing.NDArray[np.int_], step_mm: float) -> F32:
-    """Distances at the grid's nodes, block by block: of each only the triangles that may be the nearest."""
+    """Compute the distances at the grid's nodes by blocks, using only triangles that may be the nearest to a block."""
     grid = np.zeros(tuple(counts), np.float32)
     middle = triangles.mean(axis=1)
     reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
@@ -66,7 +66,7 @@ def _grid(triangles: F64, low: F64, counts: np.typing.NDArray[np.int_], step_mm:
 
 
 def _to_triangles(points: F64, triangles: F64) -> F64:
-    """Distance (P,) of points to the nearest of triangles: to its plane above it, else to an edge."""
+    """Compute the distance (P,) from points to the nearest triangle: to its plane if above it, otherwise to an edge."""
     best = np.full(len(points), np.inf)
     for a, b, c in triangles:
         normal = np.cross(b - a, c - a)

@@ -1,4 +1,4 @@
-"""Where an object is over time: it comes down, is held, dragged, twisted, and lifted off."""
+"""The motion of an object over time: it comes down, is held, dragged, twisted, and lifted off."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ import numpy as np
 from tacshade_edge.simulator.press import Press
 
 CLEAR_MM = 1.0
-"""How far above the skin a motion begins and ends."""
+"""Height above the skin at which a motion begins and ends."""
 
 _SPAN_S = 1e-4
-_LEVER_MM = 5.0  # what a turn moves
+_LEVER_MM = 5.0  # converts a turn to a motion
 _NUMBERS = tuple(field.name for field in fields(Press) if field.name != "shape")
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Knots of an object's way; between two of them it goes straight and steadily, outside them it is away.
+    """The knots of an object's path, which is linear between two knots; before and after, the object is absent.
 
     Attributes
     ----------
     times_s : tuple of float
-        Increasing.
+        Increasing times of the knots.
     presses : tuple of Press
-        Of one shape. `depth_mm` is what the load makes at once: a skin that creeps lets the object sink in further.
+        Presses of one shape at the knots. `depth_mm` is the immediate depth under the load; into a creeping skin, the
+        object sinks further.
     """
 
     times_s: tuple[float, ...]
     presses: tuple[Press, ...]
 
     def __post_init__(self) -> None:
-        """Refuse times that do not increase, and an object that changes."""
+        """Refuse times that do not increase, and an object whose shape changes."""
         if len(self.times_s) != len(self.presses) or len(self.times_s) < 2:
             raise ValueError(f"{len(self.times_s)} times for {len(self.presses)} presses, expected two or more of each")
         if not all(np.diff(self.times_s) > 0) or not math.isfinite(self.times_s[-1] - self.times_s[0]):
@@ -43,11 +44,11 @@ class Motion:
             raise ValueError("presses of several shapes, expected one object")
 
     def held(self, for_s: float) -> Motion:
-        """Then it stays."""
+        """Add a time in which the object stays."""
         return self._then(for_s, self.presses[-1])
 
     def dragged(self, x_mm: float, y_mm: float, speed_mm_s: float) -> Motion:
-        """Then it is moved along the skin."""
+        """Add a drag along the skin."""
         last = self.presses[-1]
         moved = replace(
             last,
@@ -59,19 +60,19 @@ class Motion:
         return self._then(math.hypot(x_mm, y_mm) / speed_mm_s, moved)
 
     def twisted(self, angle_deg: float, speed_deg_s: float) -> Motion:
-        """Then it is turned about z, from x towards y."""
+        """Add a turn about z, from x towards y."""
         last = self.presses[-1]
         turned = replace(last, rotation_deg=last.rotation_deg + angle_deg, twist_deg=last.twist_deg + angle_deg)
         return self._then(abs(angle_deg) / speed_deg_s, turned)
 
     def released(self, speed_mm_s: float) -> Motion:
-        """Then it is lifted off, along z."""
+        """Add a release along z."""
         last = self.presses[-1]
         up = self._then(last.depth_mm / speed_mm_s, replace(last, depth_mm=0.0))
         return up._then(CLEAR_MM / speed_mm_s, replace(last, depth_mm=-CLEAR_MM))
 
     def at(self, t_s: float) -> Press | None:
-        """Where it is; None while it is away."""
+        """Compute the press at a time; None while the object is absent."""
         if not self.times_s[0] <= t_s <= self.times_s[-1]:
             return None
         k = min(bisect_right(self.times_s, t_s), len(self.times_s) - 1) - 1
@@ -83,7 +84,7 @@ class Motion:
         return replace(one, **between) if between else one
 
     def velocity(self, t_s: float, skin_radius_mm: float) -> tuple[tuple[float, float, float], float]:
-        """Of its lowest point as the load alone moves it, in mm/s along x, y, z, and its turn about z in deg/s."""
+        """Compute the lowest point's velocity without creep, in mm/s along x, y, z, and the turn about z in deg/s."""
         early, late = max(t_s - _SPAN_S, self.times_s[0]), min(t_s + _SPAN_S, self.times_s[-1])
         one, other = self.at(early), self.at(late)
         if early >= late or one is None or other is None:
@@ -94,7 +95,7 @@ class Motion:
         return (*along, up * per_s), (other.rotation_deg - one.rotation_deg) * per_s
 
     def steps_s(self, step_mm: float) -> tuple[float, ...]:
-        """Times of its knots, and so many between them that it moves by a step at most from one to the next."""
+        """List the knots' times, and times in between so that the object moves by at most a step between two times."""
         times = [self.times_s[0]]
         for k, (one, other) in enumerate(zip(self.presses[:-1], self.presses[1:], strict=True)):
             along = math.hypot(other.x_mm - one.x_mm, other.y_mm - one.y_mm, other.depth_mm - one.depth_mm)
@@ -108,7 +109,7 @@ class Motion:
 
 
 def pressed(press: Press, start_s: float, speed_mm_s: float) -> Motion:
-    """An object that comes down along z to a press, from above the skin."""
+    """Make a motion in which an object comes down along z from above the skin to a press."""
     touches_s = start_s + CLEAR_MM / speed_mm_s
     return Motion(
         (start_s, touches_s, touches_s + press.depth_mm / speed_mm_s),

@@ -1,6 +1,6 @@
-"""A simulated sensor over time: objects that move, a skin that creeps, light that changes slowly; with their truth.
+"""A simulated sensor over time, with moving objects, a creeping skin, slowly changing light, and the truth.
 
-Everything is a function of the time in seconds, in any order of times.
+Every result depends only on the time in seconds, so times may come in any order.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from tools.testbed.simulator.slow_light import SlowLight
 
 _MEMORY_STEP_MM = 1.0
 _JUMP_S = 1e-6
-_ROUND_MM = 3  # digits: a skin that has crept to its end is drawn once
+_ROUND_MM = 3  # digits, so that a skin that has stopped creeping is drawn once
 _ROUND_PART = 4
 _SPEED_SPAN_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectState:
-    """An object at a time.
+    """The state of an object at one time.
 
     Attributes
     ----------
     press : Press or None
-        Where it is, and how far it was dragged and twisted; None while it is away.
+        Its place, drag and twist; None while the object is absent.
     touches : bool
     velocity_mm_s : (float, float, float)
-        Of its lowest point along the sensor's x, y, z, without what the skin creeps.
+        Velocity of its lowest point along the sensor's x, y, z, without creep.
     turn_deg_s : float
-        About z, from x towards y.
+        Turn about z, from x towards y.
     stuck : float
-        Part of its contact in which the skin goes with it; 1 without a contact.
+        Part of its contact in which the skin moves with it; 1 without a contact.
     slip : Slip or None
-        By `stuck`: full is a contact that slides as a whole or came to rest after it has; None without a contact.
+        Slip by `stuck`; full if the whole contact slides, or slid and then came to rest; None without a contact.
     slip_mm_s : float
-        Speed at which it goes ahead of the skin under it, in the mean over its contact.
+        Speed relative to the skin under it, averaged over its contact.
     """
 
     press: Press | None
@@ -60,18 +60,18 @@ class ObjectState:
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """All that the skin's shape depends on; equal moments have equal skins.
+    """Everything that determines the skin's shape; equal moments have equal skins.
 
     Attributes
     ----------
     loads : tuple of Press
-        The objects that are not away, as deep as their loads make them at once.
+        The present objects at their depths without creep.
     presses : tuple of Press
-        The same, as deep as they are.
+        The same objects at their depths with creep.
     owners : tuple of int
-        Which motion each of them is of.
+        Index of each object's motion.
     memory : tuple of (tuple of Press, float)
-        Loads of before, and how much of each is left.
+        Earlier loads, and the part of each that remains.
     """
 
     loads: tuple[Press, ...]
@@ -86,10 +86,10 @@ class MovingScene:
     Parameters
     ----------
     motions : sequence of Motion
-        Of each object.
+        One motion for each object.
     model : SensorModel, optional
     light : SlowLight, optional
-        By default the light is steady.
+        By default, the light is constant.
     """
 
     def __init__(
@@ -110,11 +110,11 @@ class MovingScene:
         self._drawn = functools.lru_cache(maxsize=2)(self._drawing)
 
     def presses(self, t_s: float) -> tuple[Press, ...]:
-        """What is pressed on the skin, as deep as it has crept."""
+        """List the presses on the skin at a time, at their depths with creep."""
         return self._moment(t_s).presses
 
     def skin(self, t_s: float) -> Skin:
-        """The skin's shape."""
+        """Compute the skin's shape at a time."""
         return self._skin(self._moment(t_s))
 
     def frame(self, t_s: float, noise_seed: int = 0) -> SimulatedFrame:
@@ -123,7 +123,7 @@ class MovingScene:
         Raises
         ------
         ValueError
-            When a press is not over the skin, or reaches the middle of the sensor.
+            A press is not over the skin, or reaches the middle of the sensor.
         """
         moment = self._moment(t_s)
         image = self._renderer.expose(self._drawn(moment), noise_seed)
@@ -132,7 +132,7 @@ class MovingScene:
         return SimulatedFrame(image, moment.presses, self._skin(moment), self.model)
 
     def objects(self, t_s: float) -> tuple[ObjectState, ...]:
-        """The true state of each motion's object; takes as long as three frames."""
+        """Compute the true state of each motion's object, which takes as long as three frames."""
         times = tuple(t_s + k * _SPEED_SPAN_S for k in (-1, 0, 1))
         moments = [self._moment(t) for t in times]
         touching = [self._touching(moment) for moment in moments]

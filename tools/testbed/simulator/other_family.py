@@ -1,4 +1,4 @@
-"""Sensors of another model, never trained on: square lattice, mushroom pins, another skin, dragged in another way."""
+"""Sensors of another model, never trained on: square lattice, mushroom pins, other skin, other mechanics of drag."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tools.testbed.simulator.left_over import left_over
 from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 CAPS = PinProfile(((1.0, 0.7, 0.0),))
-"""A stem that tapers, under a flat cap."""
+"""A tapering stem under a flat cap."""
 
 
 FRUSTUM = PinProfile(())
@@ -28,13 +28,13 @@ _RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
 
 
 class OtherSensor:
-    """As `SimulatedSensor`, of the other model; or of the usual one with some of its differences.
+    """A `SimulatedSensor` of the other model, or of the usual model with some of the other's features.
 
     Parameters
     ----------
     model : SensorModel
     square, capped, two_scales : bool
-        Whether the lattice, the pins, the skin are the other model's.
+        Whether the lattice, the pins and the skin are the other model's.
     """
 
     def __init__(self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True) -> None:
@@ -45,7 +45,7 @@ class OtherSensor:
         self._drawn: tuple[Skin, F32] | None = None
 
     def noiseless(self) -> OtherSensor:
-        """The same sensor with a camera without noise."""
+        """Make the same sensor with a noiseless camera."""
         return OtherSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences)
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
@@ -54,7 +54,7 @@ class OtherSensor:
         return SimulatedFrame(self.picture(skin, noise_seed), tuple(presses), skin, self.model)
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
+        """Take a picture after a release, while the skin still keeps part of its deformation."""
         skin = left_over(self.skin(presses), part)
         return SimulatedFrame(self.picture(skin, noise_seed), (), skin, self.model)
 
@@ -65,7 +65,7 @@ class OtherSensor:
         return self._renderer.expose(self._drawn[1], noise_seed)
 
     def skin(self, presses: Sequence[Press] = ()) -> Skin:
-        """Shape the skin."""
+        """Compute the skin under the presses."""
         model, presses = self.model, tuple(presses)
 
         def shape(leaning_mm: F32 | None) -> Skin:
@@ -77,16 +77,16 @@ class OtherSensor:
 
 
 def turned_mm(direction: F64, sway_mm: F64) -> F64:
-    """`Mechanics.lean` of a stiff tip on a soft base: it turns as a whole about O's height, down to a soft ring."""
+    """`Mechanics.lean` of a stiff tip on a soft base: the tip turns rigidly about O's height, above a soft ring."""
     angle = np.clip((direction[..., 2] - _RIM) / (0.3 * (1 - _RIM)), 0, 1)
     along = direction[..., 2:] * sway_mm
     return np.asarray(angle[..., None] * np.concatenate((along, -(direction[..., :2] @ sway_mm)[..., None]), axis=-1))
 
 
 def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
-    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings by two decays.
+    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings with two decays.
 
-    What is beside a contact goes with its nearest point; the far decay is no exponential.
+    Skin outside a contact follows the contact's nearest point; the far decay is not exponential.
     """
     carried = np.zeros((2, *weight.shape), np.float32)
     for owner in np.unique(contacts.owner):
@@ -104,17 +104,17 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
         part = 0.5 * np.exp(-2 * decays) + 0.5 / (1 + decays * decays)
         spread = cv2.blur(of_label[label], (5, 5)) * part[..., None]
         carried += np.asarray(np.moveaxis(spread, 2, 0), np.float32)
-    beyond = weight**-0.5 - 1  # of the apex: tan² of half the angle from it
+    beyond = weight**-0.5 - 1  # tan² of half the angle from the apex
     rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
     return np.asarray(carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32)
 
 
 TURNING = Mechanics(turned_mm, carry_far, lambda w, *_: w)
-"""How the other model's skin is dragged: each place is a spring of its own, q = kt w."""
+"""How objects drag the other model's skin, in which every point is an independent spring, q = kt w."""
 
 
 def other_model(seed: int) -> SensorModel:
-    """Draw a sensor; its caps are wide, so that contact brightens it."""
+    """Draw a sensor with caps so wide that contact makes the image brighter."""
     rng = np.random.default_rng((seed, 13))
     return replace(
         random_model(seed),
@@ -125,7 +125,7 @@ def other_model(seed: int) -> SensorModel:
 
 
 def two_scale_skin(model: SensorModel, presses: Sequence[Press], leaning_mm: F32 | None = None) -> Skin:
-    """The mean of two skins: a stiff surface over a soft depth, whose skirt is no exponential."""
+    """Mix two skins into a stiff surface over a soft depth, whose skirt is not exponential."""
     near = press_skin(model.skin_radius_mm, 0.5 * model.skin_decay_mm, presses, leaning_mm)
     far = press_skin(model.skin_radius_mm, 1.8 * model.skin_decay_mm, presses, leaning_mm)
     mixed = np.asarray(0.55 * near.height_mm + 0.45 * far.height_mm, np.float32)

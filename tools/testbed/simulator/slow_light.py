@@ -1,4 +1,4 @@
-"""Light that changes slowly: a camera and LEDs that warm up, and LEDs that age."""
+"""Slowly changing light: a camera and LEDs that warm up, and LEDs that age."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class SlowLight:
     Attributes
     ----------
     warm_up_s : float
-        Time constant of a body that takes up a steady heat and gives it off by its excess of temperature (Newton's
-        law of cooling): it is warm to 1 - exp(-t / warm_up_s).
+        Time constant of warming under constant heat with Newton's law of cooling; the part reached at time t is
+        1 - exp(-t / warm_up_s).
     l70_h : float
-        Hours after which an LED gives 70 % of its light; it decays exponentially, as IES TM-21 extrapolates it.
+        Hours after which an LED gives 70 % of its light, which decays exponentially, as in IES TM-21.
     on_for_s, burnt_h : float
-        At time 0: since when it has been switched on, and how long the LEDs have burnt in all.
+        At time 0, how long the sensor has been on, and how long the LEDs have burned in total.
     """
 
     warm_up_s: float = 600.0
@@ -32,14 +32,14 @@ class SlowLight:
     burnt_h: float = 0.0
 
     def warm_part(self, t_s: float) -> float:
-        """How warm it is, 0 to 1."""
+        """Compute how warm the sensor is, 0 to 1."""
         return 1 - math.exp(-max(self.on_for_s + t_s, 0.0) / self.warm_up_s)
 
     def aged_part(self, t_s: float) -> float:
-        """Which part of their first light the LEDs give."""
+        """Compute the share of their original light that the LEDs still give."""
         return float(0.7 ** ((self.burnt_h + t_s / 3600) / self.l70_h))
 
     def on(self, image: U8, model: SensorModel, t_s: float) -> U8:
-        """An image, uint8 (H, W, 3), that was drawn in the first light, as it is at a time."""
+        """Change an image, uint8 (H, W, 3), from the original light to the light at a time."""
         warm = camera_faults.warm(image, model.row_c, model.col_c, self.warm_part(t_s))
         return nuisance.gain(warm, self.aged_part(t_s))

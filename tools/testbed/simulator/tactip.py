@@ -1,4 +1,4 @@
-"""A TacTip, as a print of the same skin."""
+"""A TacTip, simulated as another print on the same skin."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tacshade_edge.simulator.model import SensorModel
 
 
 def tactip(model: SensorModel) -> SensorModel:
-    """Print the same skin as a TacTip: white pin tips on black, no markers in the gaps; contact darkens it."""
+    """Print the same skin as a TacTip: white pin tips on black, without markers, so that contact darkens the image."""
     return replace(
         model,
         pin_length_pitches=1.0,

@@ -1,4 +1,4 @@
-"""A sensor of any family with a camera without noise, and after a release."""
+"""Variants of a sensor of any family: with a noiseless camera, and after a release."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tools.testbed.simulator.other_family import OtherSensor
 
 
 def noiseless(sensor: PressedSensor) -> PressedSensor:
-    """The same sensor with a camera without noise."""
+    """Make the same sensor with a noiseless camera."""
     if isinstance(sensor, OtherSensor):
         return sensor.noiseless()
     return SimulatedSensor(replace(sensor.model, read_noise_grey=0.0, shot_noise_grey=0.0))
 
 
 def released(sensor: PressedSensor, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-    """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
+    """Take a picture after a release, while the skin still keeps part of its deformation."""
     if isinstance(sensor, OtherSensor):
         return sensor.released(presses, part, noise_seed)
     skin, renderer = left_over(skin_under(sensor.model, tuple(presses)), part), _renderer(sensor.model)

@@ -1,4 +1,4 @@
-"""Pins and markers that are not the simulator's: any lattice, a marker in each cell, pins of any outline."""
+"""Pins and markers unlike the simulator's: any lattice, a marker in each cell, pins with any outline."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ _CORNERS = 12
 
 @dataclass(frozen=True, slots=True)
 class PinProfile:
-    """The pin's outline between base and tip: cones through rings.
+    """The pin's outline between base and tip, as cones between rings.
 
     Attributes
     ----------
     rings : tuple of (height, of base, of tip)
-        Each ring's height (0 the base, 1 the tip) and its radius as a sum of parts of the base's and the tip's.
+        Each ring's height (0 at the base, 1 at the tip) and its radius, the sum of a part of the base's radius and a
+        part of the tip's.
     """
 
     rings: tuple[tuple[float, float, float], ...]
 
     @classmethod
     def waist(cls, height: float, part: float) -> PinProfile:
-        """A frustum whose radius at a height is a part of what it would be: a waist or a belly."""
+        """Make a frustum whose radius at a height is multiplied by `part`, which gives a waist or a belly."""
         return cls(((height, part * (1 - height), part * height),))
 
 
 class VariedRenderer(render.Renderer):
-    """Draws pins of another profile, and any print."""
+    """Draws pins with another profile, and any print."""
 
     def __init__(self, model: SensorModel, marks: render.Print | None, profile: PinProfile) -> None:
         super().__init__(model)
@@ -84,7 +85,7 @@ class VariedRenderer(render.Renderer):
 
 
 def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> render.Print:
-    """Lay pins on a lattice of any angle and ratio of its sides, a marker in the middle of each cell."""
+    """Place pins on a lattice with any angle and ratio of sides, and a marker in the middle of each cell."""
     n = 2 * math.ceil(reach_mm(model) / model.pitch_mm) + 2
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
@@ -95,7 +96,7 @@ def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> r
 
 
 def reach_mm(model: SensorModel) -> float:
-    """How far from the apex the print reaches, in the equal-area chart."""
+    """Compute how far from the apex the print reaches, in the equal-area chart."""
     return 2 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg + 6) / 2)
 
 
