@@ -52,7 +52,7 @@ def diagnose(
     settings = document.settings if document else None
     deadline_s = time.monotonic() + MACHINE_S
     folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
-    robot = settings.serial.device if settings and settings.serial else ""
+    robot = (settings.serial.device if settings.serial else None) if settings else ""
     parts: dict[str, Callable[[], Findings]] = {
         "serial": lambda: check_serial(machine, robot),
         "disk": lambda: check_disk(folder, machine),

@@ -14,8 +14,13 @@ _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
-def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
-    """One finding per sound port and one per problem; `device` is the robot's port in the settings."""
+def check_serial(machine: Machine, device: str | None = "") -> tuple[Finding, ...]:
+    """One finding per sound port and one per problem.
+
+    `device` is the robot's port in the settings, "" if there are no settings, None if the settings have no robot.
+    """
+    if device is None:
+        return tuple(_unused(port, machine) for port in _ports(machine)) or (_no_port(),)
     found = _check_ports(machine)
     if not device.startswith("/dev/") or machine.at(device).exists():
         return found
@@ -23,19 +28,33 @@ def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
     return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
 
 
-def _check_ports(machine: Machine) -> tuple[Finding, ...]:
+def _ports(machine: Machine) -> list[str]:
     ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
-    ports = [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
-    if not ports:
-        return (ok("serial", "found no serial port; only a robot's poses need one"),)
-    return tuple(finding for port in ports for finding in _check_port(port, machine))
+    return [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
+
+
+def _no_port() -> Finding:
+    return ok("serial", "found no serial port; only a robot's poses need one")
+
+
+def _unused(port: str, machine: Machine) -> Finding:
+    return ok("serial", f"{_label(port, machine)}: not checked, because the settings have no robot (serial: null)")
+
+
+def _check_ports(machine: Machine) -> tuple[Finding, ...]:
+    return tuple(finding for port in _ports(machine) for finding in _check_port(port, machine)) or (_no_port(),)
+
+
+def _label(port: str, machine: Machine) -> str:
+    device = f"/dev/{port}"
+    names = _stable_names(device, machine)
+    return f"{device}, best named {names[0]}" if names else device
 
 
 def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     device = f"/dev/{port}"
     path = machine.at(device)
-    names = [device, *_stable_names(device, machine)]
-    label = device if len(names) == 1 else f"{device}, best named {names[1]}"
+    label = _label(port, machine)
     if not path.exists():
         return (warning("serial", f"{device}: the kernel lists this port, but /dev does not", "sudo udevadm trigger"),)
     wrong = []

@@ -42,6 +42,16 @@ def test_a_port_is_called_by_its_best_name(machine: Any) -> None:
     assert finding.found == f"/dev/ttyUSB0, best named {BY_ID}: free to use"
 
 
+def test_a_port_is_no_problem_where_no_robot_is_configured(machine: Any) -> None:
+    plug(machine, "ttyUSB0", device__latency_timer="16")
+    machine.link(BY_ID, "../../ttyUSB0")
+    (finding,) = check_serial(machine, None)
+    assert finding.state == "ok"
+    assert finding.found == (
+        f"/dev/ttyUSB0, best named {BY_ID}: not checked, because the settings have no robot (serial: null)"
+    )
+
+
 def test_an_ftdi_chip_that_holds_bytes_back(machine: Any) -> None:
     plug(machine, "ttyUSB0", device__latency_timer="16")
     (finding,) = check_serial(machine)
