@@ -102,7 +102,7 @@ class LabelSession:
             blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
             rest_grey = motion_grey(blocks)
             if rest_grey > REST_MOST_GREY:
-                found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
+                found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
                 self._terminal.say(f"  rejected: the picture moves or is too noisy: {found}")
                 continue
             self._live.rest_grey = rest_grey

@@ -81,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
-        raise ConfigError(f"found no package websockets; to install it: {how_to_install('dashboard')}") from None
+        raise ConfigError(
+            f"the package websockets is not installed; to install it: {how_to_install('dashboard')}"
+        ) from None
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)

@@ -117,7 +117,7 @@ def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tupl
     """
     rows, _ = press_rows(path)
     if not rows:
-        raise ConfigError(f"{path}: found no press, expected one row per press")
+        raise ConfigError(f"{path}: found no press, expected at least one")
     cells = [(where, [row.get(column, "").strip() for column in (*HEADER, *MORE)]) for where, row in rows]
     return tuple(stated(where, _columns(row[1:]), names, skin_radius_mm) for where, row in cells)
 

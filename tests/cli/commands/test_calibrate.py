@@ -283,7 +283,7 @@ def test_a_fit_without_pytorch_names_the_extra(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["calibrate", *words, "--fit", "--out", str(tmp_path / "cal.npz")]) == 78
-    assert "--fit: found no PyTorch, expected the fit extra: pip install" in one_line(capsys.readouterr().err)
+    assert "--fit: PyTorch is not installed; to install it: pip install" in one_line(capsys.readouterr().err)
     assert not (tmp_path / "cal.npz").exists()
 
 

@@ -238,8 +238,8 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both"),
-        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer too, expected neither"),
+        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both options"),
+        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer as well, expected neither of"),
     ],
 )
 def test_options_that_do_not_go_together(
