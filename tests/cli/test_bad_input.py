@@ -176,7 +176,7 @@ GOOD = "images/good.png"
         (
             ["simulate", "--out", "o", "--objects", "teapot"],
             78,
-            "--objects: found 'teapot', expected one or more of ",
+            "--objects: found 'teapot', expected 'none' or one of ",
         ),
         (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot write it: File exists"),
     ],
