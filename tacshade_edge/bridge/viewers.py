@@ -279,7 +279,7 @@ class Viewers:
                 self.passed_over += viewer.passed_over
             sending.cancel()
             if viewer.passed_over:
-                _log.info("a viewer left after missing %d messages because it read too slowly", viewer.passed_over)
+                _log.info("a viewer that read too slowly missed %d messages before it left", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:

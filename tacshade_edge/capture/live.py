@@ -103,7 +103,7 @@ class Live:
                 self._terminal.show(str(error))
                 continue
             if frame is None:
-                raise DeviceError("the source has ended")
+                raise DeviceError("the frame source has no more frames")
             self._take(frame)
             return frame
         raise DeviceError(f"found {_UNUSABLE_MAX} unusable pictures in a row")

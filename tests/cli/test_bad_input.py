@@ -156,7 +156,7 @@ GOOD = "images/good.png"
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "large/large.png"],
             78,
-            "--reference: large/large.png: found 320x240 px, expected 160x120 px as in the first",
+            "--reference: large/large.png: found 320x240 px, expected 160x120 px as in the first reference",
         ),
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "--presses", "PRESSES.csv"],

@@ -205,7 +205,9 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
     for path, image in zip(paths, references, strict=True):
         if image.shape[:2] != (height, width):
             found = f"{image.shape[1]}x{image.shape[0]} px"
-            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px as in the first")
+            raise ConfigError(
+                f"--reference: {path}: found {found}, expected {width}x{height} px as in the first reference"
+            )
     return references
 
 

@@ -221,7 +221,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
             raise ConfigError(
-                f"--camera {device}: found another camera in {where}, expected the same; correct or delete that file"
+                f"--camera {device}: found another camera in {where}, expected this one; correct or delete that file"
             )
         return source, document.settings.serial
     if device is None:

@@ -76,10 +76,10 @@ def _export_hand(args: argparse.Namespace) -> int:
         raise ConfigError(f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
         raise ConfigError(
-            "--calibration: found one calibration for several recordings, expected none, because each contains its own"
+            "--calibration: found a calibration for several recordings, expected none; each recording contains its own"
         )
     if args.out is None:
-        raise ConfigError("--out: found no file name, expected one, which several recordings need")
+        raise ConfigError("--out: found no file name, expected the name of a new file for several recordings")
     if args.to == "mcap":
         require_mcap()
     from tacshade_edge.factories.hand_recordings import read_hand

@@ -134,7 +134,7 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
         if grey.shape != greys[0].shape:
             raise ConfigError(
                 f"reference {number}: found {grey.shape[1]}x{grey.shape[0]} px, "
-                f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px as in the first"
+                f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px as in the first reference"
             )
     mean = pattern.mean_image(greys)
     disc = pattern.visible_disc(mean, sensor.visible_circle)

@@ -81,7 +81,7 @@ def test_nothing_is_sent_beyond_the_limits(tmp_path: Path, to: tuple[float, floa
     with rig(tmp_path) as one:
         one.start()
         moves = list(one.printer.moves)
-        with pytest.raises(SafetyStop, match="expected 0 to 220 mm, the range in PRINTER.yaml"):
+        with pytest.raises(SafetyStop, match=r"expected 0 to 220 mm, the range in PRINTER\.yaml"):
             one.head.over(*to)
         with pytest.raises(SafetyStop, match=r"move: found z 39.00 mm, expected 40 to 200"):
             one.head.to(39.0)

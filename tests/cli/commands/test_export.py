@@ -261,8 +261,8 @@ def test_an_image_of_a_hand_that_cannot_be_read_is_told(tmp_path: Path, capsys: 
     ("more", "line"),
     [
         (("--to", "ply", "--out", "x"), "--to: found ply for 2 recordings, expected csv or mcap"),
-        (("--to", "csv"), "--out: found no file name, expected one"),
-        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found one calibration for several recordings"),
+        (("--to", "csv"), "--out: found no file name, expected the name of a new"),
+        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found a calibration for several recordings"),
     ],
 )
 def test_what_does_not_go_with_a_hand(more: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,7 +40,8 @@ def test_the_centre_is_found_wherever_the_touches_lie(
 def test_another_skin_is_refused() -> None:
     places = np.vstack(((0, 0), 8 * RING))
     with pytest.raises(
-        ConfigError, match="expected at most 0.13 mm; is the skin upright, its radius 32 mm, and the ball's 6 mm"
+        ConfigError,
+        match=r"expected at most 0\.13 mm; is the skin upright, is its radius 32 mm and the ball's 6 mm",
     ):
         skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
 
