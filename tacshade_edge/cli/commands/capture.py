@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     if args.scale is not None and args.labels is None:
         raise ConfigError("--scale: found no --labels DIR, expected both options")
     if args.labels is not None and (args.plan or args.printer):
-        raise ConfigError("--labels: found --plan or --printer as well, expected neither of them")
+        raise ConfigError("--labels: found --plan or --printer as well, expected neither")
     if args.printer is not None and args.plan is None:
         raise ConfigError("--printer: found no --plan, expected both options; --indenters DIR writes a plan")
     terminal = Terminal(0, sys.stdout)
@@ -221,7 +221,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
             raise ConfigError(
-                f"--camera {device}: found another camera in {where}, expected this one; correct or delete that file"
+                f"--camera {device}: found another frame source in {where}, expected this camera; edit or delete that file"
             )
         return source, document.settings.serial
     if device is None:
