@@ -221,7 +221,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
             raise ConfigError(
-                f"--camera {device}: found another frame source in {where}, expected this camera; edit or delete that file"
+                f"--camera {device}: found another source in {where}, expected this camera; edit or delete that file"
             )
         return source, document.settings.serial
     if device is None:

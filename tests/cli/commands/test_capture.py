@@ -170,7 +170,7 @@ def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixtu
     cases = {
         "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
-        "--camera /dev/none: found another frame source in": ["--camera", "/dev/none"],
+        "--camera /dev/none: found another source in": ["--camera", "/dev/none"],
     }
     (out / "config.yaml").write_text(SOURCE)
     for said, words in cases.items():
