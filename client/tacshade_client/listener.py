@@ -110,7 +110,7 @@ def listen(
             client.tls_set(ca_certs=os.fspath(ca_file))
         except (OSError, ssl.SSLError) as error:
             found = f"{os.fspath(ca_file)}: {error.strerror or error}"
-            raise ConfigError(f"{found}, expected a PEM file of certificates") from error
+            raise ConfigError(f"{found}, expected a PEM file with certificates") from error
     listener = Listener(client, host, port, name, topics)
     try:
         listener._wait_for_subscription()

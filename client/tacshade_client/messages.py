@@ -119,7 +119,10 @@ def _json(decoder: Callable[[bytes], Any]) -> Callable[[str, bytes], Any]:
 
 def _preview(_part: str, payload: bytes) -> bytes:
     if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
-        raise DecodeError(f"preview: found {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
+        raise DecodeError(
+            f"preview: found a payload of {len(payload)} bytes, "
+            f"expected a JPEG image of at most {_PREVIEW_BYTES_MAX} bytes"
+        )
     return payload
 
 

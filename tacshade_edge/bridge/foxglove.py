@@ -128,7 +128,8 @@ class _Sensor:
             case "preview":
                 if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
                     raise DecodeError(
-                        f"preview: found {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}"
+                        f"preview: found a payload of {len(payload)} bytes, "
+                        f"expected a JPEG image of at most {_PREVIEW_BYTES_MAX} bytes"
                     )
                 self._send("preview", lambda: made.picture(payload, self._id, now_ns))
             case "contact":
@@ -153,11 +154,11 @@ class _Sensor:
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found a different payload, expected a height map")
+            raise DecodeError("height: found another type of message, expected a height map")
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
-                f"height: found a height above {known.skin_radius_mm:g} mm, expected at most the skin's radius"
+                f"height: found a height above the skin's radius, expected at most {known.skin_radius_mm:g} mm"
             )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
@@ -172,7 +173,7 @@ class _Sensor:
     def _cloud(self, payload: bytes) -> CloudMessage:
         message = wire.decode(payload)
         if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found a different payload, expected a point cloud")
+            raise DecodeError("cloud: found another type of message, expected a point cloud")
         return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -195,7 +196,9 @@ class _Sensor:
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
-            raise DecodeError(f"{name}: found {len(payload)} bytes, expected at most {MESSAGE_BYTES_MAX} for a viewer")
+            raise DecodeError(
+                f"{name}: found {len(payload)} bytes in a viewer's message, expected at most {MESSAGE_BYTES_MAX} bytes"
+            )
         self._viewers.send(channel, payload, slot)
 
 
@@ -253,7 +256,7 @@ class FoxgloveBridge:
         except OSError as error:
             reason = error.strerror or error
             raise ConfigError(
-                f"--listen {host}:{port}: {reason}, expected a free port on an address of this machine"
+                f"--listen {host}:{port}: {reason}, expected a free port at one of this machine's addresses"
             ) from None
         self.port = self._viewers.port
 
@@ -314,7 +317,7 @@ class FoxgloveBridge:
             if known.shown is not None and sensor_id not in best:
                 known.close()
                 _log.warning(
-                    "no longer showing %s: the limit is %d sensors, and others publish more often",
+                    "no longer showing %s, because the limit is %d sensors and others publish more often",
                     sensor_id,
                     SENSORS_MAX,
                 )

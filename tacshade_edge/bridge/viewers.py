@@ -264,8 +264,8 @@ class Viewers:
                 viewer.wake.set()
                 self._viewers.append(viewer)
         if full:
-            _log.warning("turned a viewer away because %d are already connected (the limit)", VIEWERS_MAX)
-            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are already connected, the limit")
+            _log.warning("turned a viewer away: %d viewers are already connected, which is the limit", VIEWERS_MAX)
+            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are already connected, which is the limit")
             return
         sending = asyncio.ensure_future(self._send_all(viewer))
         try:
@@ -279,7 +279,7 @@ class Viewers:
                 self.passed_over += viewer.passed_over
             sending.cancel()
             if viewer.passed_over:
-                _log.info("a viewer left; it was too slow to receive %d messages", viewer.passed_over)
+                _log.info("a viewer that read too slowly missed %d messages before it left", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:

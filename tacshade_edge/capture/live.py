@@ -103,7 +103,7 @@ class Live:
                 self._terminal.show(str(error))
                 continue
             if frame is None:
-                raise DeviceError("the source has ended")
+                raise DeviceError("the frame source has no more frames")
             self._take(frame)
             return frame
         raise DeviceError(f"found {_UNUSABLE_MAX} unusable pictures in a row")
@@ -183,7 +183,7 @@ class Live:
     def _take(self, frame: Frame) -> None:
         grey, now_s = to_grey(frame.image), time.monotonic()
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
-            raise DeviceError(f"the size of the camera's pictures changed to {grey.shape[1]}x{grey.shape[0]} px")
+            raise DeviceError(f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px")
         self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
         if self._page.chosen:
             self._choose_circle(self._page.chosen.popleft().circle)

@@ -59,8 +59,10 @@ class RobotPlaces:
         """Return the columns of PRESSES.csv for a press of a known indenter. Raises ConfigError."""
         fixed, held = self._fixed[name], self._base_T_sensor(frame)
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
-            expected = f"expected at most {_TURN_MOST_DEG} for any shape but a ball"
-            raise ConfigError(f"found the sensor turned by {turned_deg:.1f} degrees since that press, {expected}")
+            expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter but a ball"
+            raise ConfigError(
+                f"found a turn of {turned_deg:.1f} degrees since the press with a typed place, {expected}"
+            )
         try:
             touch = fixed.touch(held, self._skin_radius_mm)
         except ValueError as error:

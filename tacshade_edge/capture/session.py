@@ -193,7 +193,7 @@ class Session:
         """Calibrate from references alone. Raises ConfigError if the images cannot serve as references."""
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
-            found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
+            found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
             raise ConfigError(f"the picture moves or is too noisy: {found}")
         self._circle = self._live.circle
         result = calibrate(replace(self._sensor, visible_circle=self._circle), images)
@@ -306,14 +306,16 @@ class Session:
                 return offer.press
             if name := self._at_robot():
                 return name
-            raise ConfigError("found nothing, expected an indenter")
+            raise ConfigError("found an empty line, expected a line with an indenter")
         indenter, radius_mm, rest = self._indenter(words)
         if not rest and self._robot:
             if self._robot.known((indenter, radius_mm)):
                 return indenter, radius_mm
-            raise ConfigError(f"found no press of {indenter} in this run, expected one with depth, x and y first")
+            raise ConfigError(f"found no press of {indenter} in this run, expected a first press with depth, x and y")
         if len(rest) not in (1, 3):
-            raise ConfigError(f"found {len(rest)} numbers after the indenter, expected depth, or depth, x, y in mm")
+            raise ConfigError(
+                f"found {len(rest)} values after the indenter, expected 1 (depth) or 3 (depth, x, y), in mm"
+            )
         depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")
         columns = (indenter, radius_mm, depth_mm, x_mm, y_mm)
         return stated("press", columns, self._names, self._sensor.skin_radius_mm)
@@ -325,7 +327,7 @@ class Session:
         if words[0] in self._names or not words[0].replace(".", "").replace("-", "").isdigit():
             return words[0], "", words[1:]
         if not self._taken:
-            raise ConfigError("found no indenter, expected one before the numbers")
+            raise ConfigError("found no indenter before the numbers, expected one")
         indenter, radius_mm, *_ = self._taken[-1].stated.columns
         return indenter, radius_mm, words
 

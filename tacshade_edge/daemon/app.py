@@ -218,7 +218,7 @@ class App:
             elif isinstance(event, SourceState):
                 self._camera = event
                 if event.state == "ended":
-                    _log.info("the source has ended")
+                    _log.info("the frame source has no more frames")
                     self._recorder.end(SOURCE_ENDED)
                     return
 

@@ -47,7 +47,7 @@ def check_broker_files(document: Document) -> None:
     mqtt = document.settings.mqtt
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
         raise ConfigError(
-            f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file of certificates"
+            f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file with certificates"
         )
     read_password(document)
 

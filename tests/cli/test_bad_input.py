@@ -156,7 +156,7 @@ GOOD = "images/good.png"
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "large/large.png"],
             78,
-            "--reference: large/large.png: found 320x240 px, expected 160x120 px like the first",
+            "--reference: large/large.png: found 320x240 px, expected 160x120 px as in the first reference",
         ),
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "--presses", "PRESSES.csv"],
@@ -176,7 +176,7 @@ GOOD = "images/good.png"
         (
             ["simulate", "--out", "o", "--objects", "teapot"],
             78,
-            "--objects: found 'teapot', expected one or more of ",
+            "--objects: found 'teapot', expected 'none' or one of ",
         ),
         (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot write it: File exists"),
     ],

@@ -63,5 +63,5 @@ def test_without_the_page_it_names_the_extra_of_the_demo(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert main(["demo"]) == 78
-    said = "tacshade-edge: demo: found no package websockets; to install it: pip install '.[demo]' in the clone\n"
-    assert capsys.readouterr() == ("", said)
+    said = "the package websockets is not installed; to install it: pip install '.[demo]' in the clone"
+    assert capsys.readouterr() == ("", f"tacshade-edge: demo: {said}\n")

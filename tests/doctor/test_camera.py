@@ -60,7 +60,7 @@ def test_a_good_camera(machine: Any) -> None:
             "camera control",
             "exposure: automatic",
         ),
-        (frames(images=(BLACK,)), "picture", "black: mean grey 0"),
+        (frames(images=(BLACK,)), "picture", "black: mean grey level 0"),
         (
             Captured(
                 error=Reason(ReasonCode.STALLED, "camera /dev/video0: no frame within 2.0 s: the camera has stalled")

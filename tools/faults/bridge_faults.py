@@ -106,7 +106,7 @@ REFUSED = Told("log", r"bad: \w+: ")
 NO_ROOM = Told("log", r": ignoring this sensor: \d+ are already")
 COUNTED = Told("log, `tacshade_bridge_refused_total`", r"bad: health: ")
 COUNTED_NO_ROOM = Told("log, `tacshade_bridge_refused_total`", NO_ROOM.logged)
-SLOW = Told("log: how many each viewer was too slow for", r"a viewer left; it was too slow to receive \d+ messages")
+SLOW = Told("log: how many each viewer was too slow for", r"a viewer that read too slowly missed \d+ messages")
 TURNED_AWAY = Told("nowhere: a connection too many is closed")
 
 

@@ -66,12 +66,14 @@ class Scale:
             raise self._error
         if len(self._t_s) >= READINGS_MAX:
             raise DeviceError(
-                f"scale {self._port.device}: found {READINGS_MAX} readings, the limit of one run; start a new run"
+                f"scale {self._port.device}: reached the limit of {READINGS_MAX} readings per run; start a new run"
             )
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"
-            expected = f"expected lines with a number and a unit ({UNITS}); is its rate {self._port.baud} baud?"
-            raise DeviceError(f"scale {self._port.device}: found {found} for {_SILENT_S:.0f} s, {expected}")
+            expected = (
+                f"expected lines with a number and a unit ({UNITS}); does the scale send at {self._port.baud} baud?"
+            )
+            raise DeviceError(f"scale {self._port.device}: found {found} in the last {_SILENT_S:.0f} s, {expected}")
 
     def readings(self) -> tuple[F64, F64]:
         """All readings so far: arrival in s of CLOCK_MONOTONIC, and force in N; both (m,)."""

@@ -102,7 +102,7 @@ class LabelSession:
             blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
             rest_grey = motion_grey(blocks)
             if rest_grey > REST_MOST_GREY:
-                found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
+                found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
                 self._terminal.say(f"  rejected: the picture moves or is too noisy: {found}")
                 continue
             self._live.rest_grey = rest_grey
@@ -250,8 +250,8 @@ class LabelSession:
         self._folder.write(self._with_force())
         if offset is None:
             raise DeviceError(
-                f"scale: cannot match its clock to the camera's: {self._unaligned}; "
-                f"the presses since the start have no {_FORCE}"
+                f"cannot match the scale's clock to the camera's: {self._unaligned}; "
+                f"the presses of this run have no {_FORCE}"
             )
         self._terminal.say(
             f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "
@@ -265,8 +265,8 @@ def _parse(words: Sequence[str]) -> dict[str, float]:
     for word in words:
         name, equals, text = word.partition("=")
         if not equals or name not in QUANTITIES:
-            raise ConfigError(f"found {word[:40]!r}, expected NAME=VALUE with one of {', '.join(QUANTITIES)}")
+            raise ConfigError(f"found {word[:40]!r}, expected NAME=VALUE, where NAME is one of {', '.join(QUANTITIES)}")
         if name in known:
-            raise ConfigError(f"{name}: found twice, expected once")
+            raise ConfigError(f"{name}: found two values, expected one value")
         known[name] = number("press", name, text)
     return known

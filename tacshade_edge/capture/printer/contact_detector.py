@@ -47,7 +47,7 @@ class ContactDetector:
         rest_grey = max(motion_grey([a, looks[0]]) for a in looks)
         if rest_grey > REST_MOST_GREY:
             raise SafetyStop(
-                f"the picture changes by {rest_grey:.1f} grey levels at rest, expected at most {REST_MOST_GREY:g}"
+                f"picture at rest: found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
             )
         self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
 

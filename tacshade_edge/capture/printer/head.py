@@ -83,9 +83,7 @@ class Head:
     def over(self, x_mm: float, y_mm: float) -> None:
         """Move sideways at the present height. Raises as `to`."""
         if not self.is_free:
-            raise SafetyStop(
-                f"found a sideways move at z {self.z_mm:.2f} mm, expected one at {self.free_z_mm:.2f} mm or above"
-            )
+            raise SafetyStop(f"sideways move: found z {self.z_mm:.2f} mm, expected z {self.free_z_mm:.2f} mm or above")
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 
     def to(self, z_mm: float) -> None:
@@ -125,7 +123,7 @@ class Head:
         if float(np.abs(found_mm - self._place_mm).max()) > _POSITION_MM:
             self.is_certain = False
             found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (found_mm, self._place_mm))
-            raise SafetyStop(f"the printer reports position {found}, expected {expected} mm")
+            raise SafetyStop(f"the printer reports the head's position as {found} mm, expected {expected} mm")
 
     def _reported_mm(self) -> F64:
         place = self._line.position()
@@ -136,5 +134,5 @@ class Head:
         for name, here, value, (least, most) in zip("xyz", self._place_mm.tolist(), to_mm, ranges, strict=True):
             if value != here and not least - _POSITION_MM <= value <= most + _POSITION_MM:
                 raise SafetyStop(
-                    f"found a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)"
+                    f"move: found {name} {value:.2f} mm, expected {least:g} to {most:g} mm, the range in PRINTER.yaml"
                 )

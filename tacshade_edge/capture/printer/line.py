@@ -41,9 +41,9 @@ class PrinterLine:
         self._port.open()
         self._write(b"\n")  # ends a line that an earlier program may have left half sent
         if not any(self._greeted() for _ in range(_GREETINGS)):
-            found = f"found no answer within {_GREETINGS * _GREETING_S:.0f} s"
+            found = f"found no reply within {_GREETINGS * _GREETING_S:.0f} s"
             raise DeviceError(
-                f"printer {self._port.device}: {found}, expected the reply ok of Marlin or Klipper; is baud right?"
+                f"printer {self._port.device}: {found}, expected 'ok' from Marlin or Klipper; is the baud rate right?"
             )
         self._until_quiet()
         self._write(self._exchange.begin_anew())
@@ -86,13 +86,13 @@ class PrinterLine:
         """Return the position to which the printer reports that its head was sent. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
-            raise SafetyStop(f"the printer answered {commands.POSITION} without a position")
+            raise SafetyStop(f"the printer's answer to {commands.POSITION} contains no position")
         return self._exchange.position
 
     def listen(self) -> None:
         """Read what the printer sent unrequested, such as a reset or an error. Raises as `do`."""
         if again := self._exchange.receive(self._port.read()):
-            raise SafetyStop(f"the printer asked again for a line that it had already answered: {again!r}")
+            raise SafetyStop(f"the printer asked again for a line that it had already acknowledged: {again!r}")
         self._check_failure("rest")
 
     def emergency_stop(self) -> str:

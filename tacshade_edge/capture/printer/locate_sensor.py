@@ -63,8 +63,8 @@ def locate_sensor(
         touch.lift()
     centre, _ = skin_centre(np.array(touches), r, ball_mm)
     if (beside_mm := math.dist(centre[:2], start)) > BESIDE_START_MM:
-        found = f"found the skin's axis at x {centre[0]:.1f}, y {centre[1]:.1f} mm, {beside_mm:.1f} mm from the start"
-        raise SafetyStop(f"{found}, expected at most {BESIDE_START_MM:g} mm: move the sensor, or correct start_mm")
+        found = f"found the skin's axis {beside_mm:.1f} mm from start_mm, at x {centre[0]:.1f}, y {centre[1]:.1f} mm"
+        raise SafetyStop(f"{found}, expected at most {BESIDE_START_MM:g} mm; move the sensor or correct start_mm")
     touch.free_over(centre[2] + r)
     around, pressed = _ring(_AROUND_AXIS, reach_mm(sensor), _TURNED_RAD), []
     for beside_x, beside_y in around.tolist():

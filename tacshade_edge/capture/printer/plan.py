@@ -73,7 +73,7 @@ def planned_presses(
     for press in presses:
         _check(press, sensor, limits)
     if not any(isinstance(press.indenter, float) for press in presses):
-        raise ConfigError("--plan: found no press with a ball, expected at least one: ball presses locate the sensor")
+        raise ConfigError("--plan: found no ball press, expected at least one, because ball presses locate the sensor")
     return presses
 
 
@@ -82,7 +82,7 @@ def check_reach(reach_mm: float, what: str, limits: PrinterFile) -> None:
     for axis, start, (least, most) in zip("xy", limits.start_mm, (limits.x_mm, limits.y_mm), strict=False):
         room_mm = min(start - least, most - start) - BESIDE_START_MM
         if reach_mm > room_mm:
-            expected = f"expected at most {room_mm:.1f} mm, given {axis}_mm and start_mm in PRINTER.yaml"
+            expected = f"expected at most {room_mm:.1f} mm, as {axis}_mm and start_mm in PRINTER.yaml allow"
             raise ConfigError(f"{what}: found a reach of {reach_mm:.1f} mm from the skin's axis, {expected}")
 
 
@@ -90,10 +90,10 @@ def _planned(stated: Stated, indenters: Mapping[str, Indenter | float]) -> Plann
     name, radius_mm, depth_mm, x_mm, y_mm, *more = stated.columns
     if any(more):
         raise ConfigError(
-            f"--plan: {stated}: found yaw, tilt or shear, expected none: the head only moves straight down"
+            f"--plan: {stated}: found yaw, tilt or shear, expected none of them; the printer presses straight down"
         )
     if not x_mm:
-        raise ConfigError(f"--plan: {stated}: found no x_mm and y_mm, expected a place to press")
+        raise ConfigError(f"--plan: {stated}: found no x_mm and y_mm, expected both")
     indenter = float(radius_mm) if name == BALL else indenters[name]
     columns = Stated((name, radius_mm, depth_mm, x_mm, y_mm))
     return PlannedPress(columns, indenter, float(x_mm), float(y_mm), float(depth_mm))
@@ -107,10 +107,11 @@ def _check(press: PlannedPress, sensor: Sensor, limits: PrinterFile) -> None:
     )
     if beside_mm > visible_mm:
         raise ConfigError(
-            f"{what}: found a place {beside_mm:.1f} mm from the axis, expected at most {visible_mm:.1f} mm (in view)"
+            f"{what}: found a place {beside_mm:.1f} mm from the skin's axis, "
+            f"expected at most {visible_mm:.1f} mm, the radius of the visible skin"
         )
     check_reach(beside_mm, what, limits)
     travel_mm = press.depth_mm - first_touch_mm(press.indenter, r, press.x_mm, press.y_mm)
     if not 0 < travel_mm <= _DEEPEST_RADII * r:
-        expected = f"expected more than 0 and at most {_DEEPEST_RADII * r:.1f} mm"
-        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel from first touch, {expected}")
+        expected = f"expected more than 0 mm and at most {_DEEPEST_RADII * r:.1f} mm"
+        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel after first touch, {expected}")

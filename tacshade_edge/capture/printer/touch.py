@@ -42,9 +42,9 @@ class Touch:
             self.head.to(step.z_mm)
             touched = self.detector.look()
             if step.expected is (Expected.FREE if touched else Expected.TOUCHED):
-                where = f"{step.z_mm - touch_z_mm:+.2f} mm from the expected touch"
+                where = f"{step.z_mm - touch_z_mm:+.2f} mm from the expected first touch"
                 found = "contact" if touched else "no contact"
-                raise SafetyStop(f"the picture shows {found} {where}, expected {step.expected.value}")
+                raise SafetyStop(f"found {found} in the picture {where}, expected {step.expected.value}")
 
     def lift(self) -> None:
         """Move up to the free height."""

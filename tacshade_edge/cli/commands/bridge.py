@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C."""
     if args.password_file and not args.username:
-        raise ConfigError("--password-file: found a password without a user name, expected --username too")
+        raise ConfigError("--password-file: found no --username, expected both options")
     host, port = args.broker
     broker = BrokerAddress(
         host=host,
@@ -114,7 +114,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(
-            f"--listen {host}:{port}: {reason}, expected a free port on an address of this machine"
+            f"--listen {host}:{port}: {reason}, expected a free port at one of this machine's addresses"
         ) from None
     _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:
@@ -146,7 +146,7 @@ def _announce(args: argparse.Namespace, url: str) -> None:
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
     if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
         return error
-    return ConfigError(f"found no package {package}; to install it: {how_to_install(extra)}")
+    return ConfigError(f"the package {package} is not installed; to install it: {how_to_install(extra)}")
 
 
 def _in_url(host: str) -> str:

@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
-        raise ConfigError(f"{args.presses}: found no press, expected one row per press")
+        raise ConfigError(f"{args.presses}: found no press, expected at least one")
     if args.depth_from_touch:
         presses, above = _from_travel(presses, sensor)
         notes = (*notes, *above)
@@ -146,7 +146,7 @@ def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[Kn
 def _fit() -> Callable[..., FitResult]:
     """Return the function that trains. Raises ConfigError if PyTorch is not installed."""
     if importlib.util.find_spec("torch") is None:  # an extra: large, and needed only here
-        raise ConfigError(f"--fit: found no PyTorch, expected the fit extra: {how_to_install('fit')}")
+        raise ConfigError(f"--fit: PyTorch is not installed; to install it: {how_to_install('fit')}")
     from tacshade_edge.fitting.fit import fit
 
     return fit
@@ -205,7 +205,9 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
     for path, image in zip(paths, references, strict=True):
         if image.shape[:2] != (height, width):
             found = f"{image.shape[1]}x{image.shape[0]} px"
-            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px like the first")
+            raise ConfigError(
+                f"--reference: {path}: found {found}, expected {width}x{height} px as in the first reference"
+            )
     return references
 
 

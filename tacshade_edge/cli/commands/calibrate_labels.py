@@ -24,8 +24,8 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
     """Learn a touch model per profile. Raises ConfigError for an unreadable image or too few rows of every quantity."""
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
-        found = ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
-        raise ConfigError(f"{table}: found {found}, expected at least {LEAST_ROWS} rows for at least one quantity")
+        found = ", ".join(f"{count} rows with {name}" for name, count in counts.items() if count)
+        raise ConfigError(f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity")
     size = (calibration.image_height_px, calibration.image_width_px)
     results = []
     progress = Progress()
@@ -63,8 +63,9 @@ def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
             shown = "; ".join(one.left_out[:_SHOWN]) + ("; ..." if len(one.left_out) > _SHOWN else "")
             lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
         for name, (rows, groups) in one.too_few.items():
-            found = f"found {rows} usable rows in {groups} groups, expected at least {LEAST_ROWS} in {LEAST_GROUPS}"
-            lines.append(f"{one.profile}: {name}: {found}; left out")
+            found = f"found {rows} usable rows in {groups} groups"
+            expected = f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups"
+            lines.append(f"{one.profile}: {name}: {found}, {expected}; left out")
     return tuple(lines)
 
 

@@ -101,11 +101,11 @@ def run(args: argparse.Namespace) -> int:
             print(path)
         return 0
     if args.scale is not None and args.labels is None:
-        raise ConfigError("--scale: found no --labels DIR, expected both")
+        raise ConfigError("--scale: found no --labels DIR, expected both options")
     if args.labels is not None and (args.plan or args.printer):
-        raise ConfigError("--labels: found --plan or --printer too, expected neither")
+        raise ConfigError("--labels: found --plan or --printer as well, expected neither")
     if args.printer is not None and args.plan is None:
-        raise ConfigError("--printer: found no --plan, expected one (--indenters DIR writes a plan)")
+        raise ConfigError("--printer: found no --plan, expected both options; --indenters DIR writes a plan")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
@@ -221,7 +221,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
             raise ConfigError(
-                f"--camera {device}: expected the camera that {where} names; change it there or delete the file"
+                f"--camera {device}: found another source in {where}, expected this camera; edit or delete that file"
             )
         return source, document.settings.serial
     if device is None:
@@ -236,7 +236,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     known = [code for code in FOURCCS if code in offered]
     if not known:
         found = ", ".join(offered) or "none"
-        raise ConfigError(f"--camera {device}: found the formats {found}, expected one of {', '.join(FOURCCS)}")
+        raise ConfigError(f"--camera {device}: pixel formats: found {found}, expected one of {', '.join(FOURCCS)}")
     return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2), None
 
 

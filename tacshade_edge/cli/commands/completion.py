@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import shtab
     except ImportError:
-        found = "completion: found no package shtab"
+        found = "completion: the package shtab is not installed"
         raise ConfigError(f"{found}; to install it: {how_to_install('completion')}") from None
     parser, _ = command_line(lambda _: True)
     print(shtab.complete(parser, args.shell))

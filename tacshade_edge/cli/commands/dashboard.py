@@ -81,12 +81,14 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
-        raise ConfigError(f"found no package websockets; to install it: {how_to_install('dashboard')}") from None
+        raise ConfigError(
+            f"the package websockets is not installed; to install it: {how_to_install('dashboard')}"
+        ) from None
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
     if args.recordings is not None and not args.recordings.is_dir():
-        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected one with recordings")
+        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected a folder with recordings")
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
@@ -134,7 +136,7 @@ def _tls(ca_file: Path) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=ca_file)
     except (OSError, ssl.SSLError) as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"--ca-file {ca_file}: {reason}, expected a PEM file of certificates") from error
+        raise ConfigError(f"--ca-file {ca_file}: {reason}, expected a PEM file with certificates") from error
 
 
 def _port(text: str) -> int:

@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
     if importlib.util.find_spec("websockets") is None:  # the page needs it; check before a minute of work
-        raise ConfigError(f"demo: found no package websockets; to install it: {how_to_install('demo')}")
+        raise ConfigError(f"demo: the package websockets is not installed; to install it: {how_to_install('demo')}")
     asked = threading.Event()
 
     def stop(*_: object) -> None:

@@ -127,7 +127,7 @@ def _own(args: argparse.Namespace) -> int:
     calibration, cases, mistakes = study.own_images(args)
     rows, timings = evaluate_images(calibration, _profiles(args), cases)
     if not rows:
-        raise ConfigError(f"{args.images}: found no image to score, expected at least one with its truth")
+        raise ConfigError(f"{args.images}: found no image to score, expected at least one image with a truth file")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
     _publish(args, rows, timings, settings)
     return 1 if mistakes else 0

@@ -73,11 +73,13 @@ def run(args: argparse.Namespace) -> int:
 def _export_hand(args: argparse.Namespace) -> int:
     """Export what the recorded fingers' hand would have published; log unreadable images and then return 1."""
     if args.to not in ("csv", "mcap"):
-        raise ConfigError(f"--to: found {args.to} with {len(args.input)} recordings, expected csv or mcap")
+        raise ConfigError(f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
-        raise ConfigError("--calibration: found one with several recordings, expected none: each recording has its own")
+        raise ConfigError(
+            "--calibration: found a calibration for several recordings, expected none; each recording contains its own"
+        )
     if args.out is None:
-        raise ConfigError("--out: found nothing, expected a new file for several recordings")
+        raise ConfigError("--out: found no file name, expected the name of a new file for several recordings")
     if args.to == "mcap":
         require_mcap()
     from tacshade_edge.factories.hand_recordings import read_hand

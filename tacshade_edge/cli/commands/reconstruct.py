@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
     if twice is not None:
         raise ConfigError(
-            f"{twice}: another image is also named {twice.stem}; their results would overwrite each other"
+            f"{twice}: another image is also named {twice.stem}; the results of one would overwrite those of the other"
         )
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])

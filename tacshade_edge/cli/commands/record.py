@@ -68,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
     early = f" ({ended['ending']})" if ended["ending_code"] != ReasonCode.TIME else ""
     print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}")
     if reason := ended.get("reason"):  # as in `status/recorder`
-        raise DeviceError(f"{folder}: stopped: {reason}; the frames written so far are kept")
+        raise DeviceError(f"{folder}: the recording stopped: {reason}; the recorded frames are kept")
     if ended["frames"] == 0:
-        raise DeviceError(f"{folder}: received no frame")
+        raise DeviceError(f"{folder}: the recording received no frame")
     return 0
 
 
@@ -119,7 +119,7 @@ def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"
     raise DeviceError(
-        f"{folder}: the daemon is {state} and did not report how the recording ended; the frames so far are kept"
+        f"{folder}: the daemon is {state} and did not report how the recording ended; the recorded frames are kept"
     )
 
 

@@ -195,7 +195,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
         if name not in OBJECTS and name != "none":
-            raise ConfigError(f"--objects: found {name!r}, expected one or more of {', '.join(OBJECTS)} or none")
+            raise ConfigError(f"--objects: found {name!r}, expected 'none' or one of {', '.join(OBJECTS)}")
     nowhere = [(0.0, 0.0)]
     ways = itertools.product(
         args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist

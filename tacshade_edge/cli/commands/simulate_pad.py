@@ -50,8 +50,8 @@ def write_pad(
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
     if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
         raise ConfigError(
-            f"--pad-step {step_mm:g}, --pad-depth {depth_mm:g}: expected a step of 0.5 to 20 mm and a depth up to "
-            f"{pads.MAX_DEPTH_MM:g} mm"
+            f"--pad-step, --pad-depth: found a step of {step_mm:g} mm and a depth of {depth_mm:g} mm, "
+            f"expected a step of 0.5 to 20 mm and a depth above 0 and up to {pads.MAX_DEPTH_MM:g} mm"
         )
     poses = pads.scan(pad, step_mm, depth_mm, radius_mm)
     if varied:

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     """Stitch; map.json lists unusable presses, and stderr also lists unreadable images, for which it returns 1."""
     if args.find_flange and args.truth is not None:
         raise ConfigError(
-            "--truth: found together with --find-flange, which makes no map; expected only one of the two"
+            "--truth: found --find-flange as well, expected only one of the two; --find-flange makes no map"
         )
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)

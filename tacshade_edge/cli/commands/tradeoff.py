@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             calibration, cases, mistakes = study.own_images(args)
             images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
             if not any(case.touched for case in images[0].cases):
-                expected = "found no image of a contact to score, expected at least one with its truth"
+                expected = "found no image of a contact to score, expected at least one with a truth file"
                 raise ConfigError(f"{args.images}: {expected}")
             data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
         else:

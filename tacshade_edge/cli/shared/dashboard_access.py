@@ -33,9 +33,12 @@ def read_token(path: Path) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise ConfigError(f"--token-file {path}: {error.strerror}, expected a file with the token") from None
+        raise ConfigError(f"--token-file {path}: {error.strerror}, expected a readable file with the token") from None
     if not _TOKEN.fullmatch(text):
-        raise ConfigError(f"--token-file {path}: expected one line of 16 to 128 letters, digits, '.', '_', '~' and '-'")
+        raise ConfigError(
+            f"--token-file {path}: found no valid token, "
+            "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'"
+        )
     return text
 
 
@@ -55,7 +58,7 @@ def make_token(path: Path | None) -> str:
                 stream.write(f"{token}\n")
         except OSError as error:
             raise ConfigError(
-                f"--token-file {path}: {error.strerror}, expected a place to write the token to"
+                f"--token-file {path}: {error.strerror}, expected a path where a new token file can be written"
             ) from None
     return token
 
@@ -64,7 +67,7 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
     """Return the TLS context of the server, or None without a certificate. Raises ConfigError."""
     if certificate is None:
         if key is not None:
-            raise ConfigError(f"--key {key}: found no --certificate, expected both")
+            raise ConfigError(f"--key {key}: found no --certificate, expected both options")
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
@@ -77,5 +80,5 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
             if type(error) is not ssl.SSLError and error.strerror
             else "the key does not match the certificate"
         )
-        raise ConfigError(f"{shown}: {reason}, expected PEM files of a certificate and its unencrypted key") from None
+        raise ConfigError(f"{shown}: {reason}, expected PEM files with a certificate and its unencrypted key") from None
     return context

@@ -18,7 +18,7 @@ from tacshade_edge.storage.stitching.flange_file import FLANGE, write_flange
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0
 """Largest plausible distance and rotation from the start; a pose found farther away is wrong."""
-_PLAN = "(docs/how-to/stitching.md has a plan)"
+_PLAN = "(see the plan in docs/how-to/stitching.md)"
 
 
 def run(
@@ -33,7 +33,9 @@ def run(
     """
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:
-        raise ConfigError(f"{where}: found {presses} presses with a pose, expected at least {PRESSES_MIN} {_PLAN}")
+        raise ConfigError(
+            f"{where}: found {presses} presses with a pose, expected at least {PRESSES_MIN} presses {_PLAN}"
+        )
     try:
         found = find_flange(frames, start, skin_radius_mm)
     except ConfigError as error:
@@ -43,8 +45,8 @@ def run(
     moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
     if moved_mm > START_MM or turned_deg > START_DEG:
         raise ConfigError(
-            f"{where}: found a flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from the calibration's, "
-            "expected at most 10 mm and 10 degrees; is base_T_flange in mm?"
+            f"{where}: found flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from the calibration's, "
+            f"expected at most {START_MM:g} mm and {START_DEG:g} degrees; is base_T_flange in mm?"
         )
     seen = delay_seen(found)
     write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))

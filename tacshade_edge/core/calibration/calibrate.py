@@ -129,12 +129,12 @@ def calibrate(
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     """The calibration that the references alone give."""
     if not greys:
-        raise ConfigError("found no reference image, expected at least one of the unloaded skin")
+        raise ConfigError("found no reference image, expected at least one image of the unloaded skin")
     for number, grey in enumerate(greys, start=1):
         if grey.shape != greys[0].shape:
             raise ConfigError(
                 f"reference {number}: found {grey.shape[1]}x{grey.shape[0]} px, "
-                f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px like the first"
+                f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px as in the first reference"
             )
     mean = pattern.mean_image(greys)
     disc = pattern.visible_disc(mean, sensor.visible_circle)

@@ -154,7 +154,8 @@ def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
 
 def light_reason(found: float) -> Reason:
     """Reason for a light that is `found` times the reference's."""
-    return Reason(ReasonCode.LIGHT, f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}")
+    text = f"light: found {found:.2f} times the reference's light, expected {LIGHT_LOW} to {LIGHT_HIGH} times"
+    return Reason(ReasonCode.LIGHT, text)
 
 
 def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> Reason | None:
@@ -194,5 +195,5 @@ def _surround_reason(level: F32, check: BlockCheck, slack: float) -> Reason | No
     part = (brighter + darker) / usual.size  # without slack, no block is both
     if part <= SURROUND_PART:
         return None
-    text = f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
+    text = f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the reference"
     return Reason(ReasonCode.SURROUND, text)

@@ -37,4 +37,6 @@ def _glare(unseen: float) -> Reason:
 
 
 def _light_drift(drift_grey: float) -> Reason:
-    return Reason(ReasonCode.LIGHT_DRIFT, f"light or focus: g changed by {drift_grey:.0f} levels everywhere")
+    return Reason(
+        ReasonCode.LIGHT_DRIFT, f"light or focus: the white ratio changed by {drift_grey:.0f} levels everywhere"
+    )

@@ -179,7 +179,7 @@ def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
             return Reason(ReasonCode.SATURATED, text)
     std = math.sqrt(max(square - mean * mean, 0))
     if std < check.flat_std:
-        figures = f"mean grey {mean:.0f}, deviation {std:.1f}"
+        figures = f"mean grey level {mean:.0f}, standard deviation {std:.1f}"
         if mean < BLACK_LEVEL:
             return Reason(ReasonCode.BLACK, f"black: {figures}")
         return Reason(ReasonCode.NO_CONTRAST, f"no contrast: {figures}")

@@ -49,14 +49,15 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     for row, col in points_px:
         if not (-0.5 <= row <= shape[0] - 0.5 and -0.5 <= col <= shape[1] - 0.5):
             raise ConfigError(
-                f"three points: found row {row:g}, col {col:g}, expected a point inside {shape[1]}x{shape[0]} px"
+                f"three points: found a point at row {row:g}, col {col:g}, "
+                f"expected a point inside the {shape[1]}x{shape[0]} px image"
             )
     (row0, col0), (row1, col1), (row2, col2) = points_px
     # Relative to the first point, to lose less to rounding.
     r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
     twice_area = r1 * c2 - c1 * r2
     if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):
-        raise ConfigError("three points: found them on a line, expected them on the dome's rim and far apart")
+        raise ConfigError("three points: found points on a line, expected points far apart on the dome's rim")
     square1, square2 = r1 * r1 + c1 * c1, r2 * r2 + c2 * c2
     row = (square1 * c2 - square2 * c1) / (2 * twice_area)
     col = (square2 * r1 - square1 * r2) / (2 * twice_area)
@@ -64,8 +65,8 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     apart_px = min(math.dist(one, other) for one, other in combinations(points_px, 2))
     if apart_px < LEAST_APART * disc.radius_px:
         raise ConfigError(
-            f"three points: found two only {apart_px:.0f} px apart on a circle of radius {disc.radius_px:.0f} px, "
-            f"expected at least {LEAST_APART:g} radii between any two"
+            f"three points: found two points only {apart_px:.0f} px apart, "
+            f"expected at least {LEAST_APART:g} times the circle's radius of {disc.radius_px:.0f} px"
         )
     if disc.radius_px < LEAST_RADIUS_PX:
         raise ConfigError(

@@ -54,7 +54,7 @@ def decode_image(data: bytes, flags: int) -> U8:
         raise DecodeError(f"found {len(data)} bytes that are not an image, expected a whole image")
     width, height = size_px
     if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
-        expected = f"expected at most {SIDE_MAX_PX} px a side and {PIXELS_MAX >> 20} Mi px in all"
+        expected = f"expected at most {SIDE_MAX_PX} px per side and {PIXELS_MAX >> 20} Mi px in total"
         raise DecodeError(f"found {width}x{height} px, {expected}")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

@@ -141,7 +141,7 @@ class FlangeProblem:
         self._of_frame = np.column_stack((np.ones(len(beside2)), beside2))
         axes = np.stack([of_pose(frame.track[0]).rotation @ start.rotation[:, 2] for frame in frames])
         if np.linalg.norm(axes.mean(axis=0)) < _FACING_MIN:
-            raise ConfigError("found presses that face in opposite directions, expected presses of one surface")
+            raise ConfigError("found presses that face in opposite directions, expected presses on one surface")
         self._upright = _upright(-axes.mean(axis=0))
 
     def equations(self, now: Estimate, cell_mm: float, sigma_mm: float, *, joint: bool) -> NormalEquations:

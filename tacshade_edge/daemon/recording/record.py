@@ -29,7 +29,7 @@ SYNC_S = 1.0
 _NO_PIXELS = np.zeros((0, 0), np.uint8)
 Posed = Callable[[Frame], Frame]
 TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
-SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the source has ended")
+SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the frame source has no more frames")
 DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
 # These endings are normal and leave the recorder idle; any other is a reason that it stopped.
 GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)

@@ -145,7 +145,7 @@ class FilesSource:
         if self._size is None:
             self._size = (height, width)
         if self._size != (height, width):
-            expected = f"{self._size[1]}x{self._size[0]} px like the first"
+            expected = f"{self._size[1]}x{self._size[0]} px as in the first image"
             raise DecodeError(
                 f"{item if isinstance(item, Path) else self._path}: found {width}x{height} px, expected {expected}"
             )
@@ -207,7 +207,7 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
     width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX:
-        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px a side")
+        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side")
     if not video.grab():
         raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
     video.set(cv2.CAP_PROP_POS_FRAMES, 0)

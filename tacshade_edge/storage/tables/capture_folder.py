@@ -81,8 +81,8 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
     if (x_text == "") != (y_text == ""):
         raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
     if x_text and not number(where, "x_mm", x_text) ** 2 + number(where, "y_mm", y_text) ** 2 < skin_radius_mm**2:
-        expected = f"a place over the skin, whose radius is {skin_radius_mm:g} mm"
-        raise ConfigError(f"{where}: x_mm, y_mm: found {x_text}, {y_text}, expected {expected}")
+        expected = f"a place within the skin's radius of {skin_radius_mm:g} mm"
+        raise ConfigError(f"{where}: x_mm, y_mm: found the place {x_text}, {y_text} mm, expected {expected}")
     for name, text in zip(MORE, more, strict=False):
         if text:
             number(where, name, text)
@@ -117,7 +117,7 @@ def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tupl
     """
     rows, _ = press_rows(path)
     if not rows:
-        raise ConfigError(f"{path}: found no press, expected one row per press")
+        raise ConfigError(f"{path}: found no press, expected at least one")
     cells = [(where, [row.get(column, "").strip() for column in (*HEADER, *MORE)]) for where, row in rows]
     return tuple(stated(where, _columns(row[1:]), names, skin_radius_mm) for where, row in cells)
 

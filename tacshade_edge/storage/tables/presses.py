@@ -86,7 +86,9 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     if (place[0] == "") != (place[1] == ""):
         raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
     if isinstance(indenter, Indenter) and not place[0]:
-        raise ConfigError(f"{where}: x_mm, y_mm: found nothing, expected both: they are optional only for a ball")
+        raise ConfigError(
+            f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
+        )
     try:
         image = read_image(path.parent / row["image"])
     except DecodeError as error:

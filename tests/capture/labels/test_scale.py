@@ -57,7 +57,7 @@ def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.
         assert np.isnan(scale.median_n(t_s[-1] + 1)).all()
         scale.check()
         monkeypatch.setattr("tacshade_edge.capture.labels.scale.READINGS_MAX", 4)
-        with pytest.raises(DeviceError, match="found 4 readings, the limit of one run"):
+        with pytest.raises(DeviceError, match="reached the limit of 4 readings per run"):
             scale.check()
     finally:
         scale.close()
@@ -76,11 +76,13 @@ def test_a_scale_that_says_nothing_of_use(line: tuple[int, str], monkeypatch: py
     scale = Scale(scale_port(f"{name}:4800"))
     scale.open()
     try:
-        with pytest.raises(DeviceError, match=r"found nothing for 0 s, expected lines with a number and a unit \(g"):
+        with pytest.raises(
+            DeviceError, match=r"found nothing in the last 0 s, expected lines with a number and a unit \(g"
+        ):
             scale.check()
         os.write(master, b"12.5\n")
         wait_until(lambda: scale._unread, 10, "the line")
-        with pytest.raises(DeviceError, match=r"found '12\.5' for 0 s, .*; is its rate 4800 baud"):
+        with pytest.raises(DeviceError, match=r"found '12\.5' in the last 0 s, .*; does the scale send at 4800 baud"):
             scale.check()
     finally:
         scale.close()

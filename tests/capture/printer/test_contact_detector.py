@@ -92,14 +92,16 @@ def test_where_the_picture_and_the_place_do_not_agree(tmp_path: Path, check: Pre
     with touch(tmp_path, check) as (one, printer, _):
         one.detector.learn_free()
         with pytest.raises(
-            SafetyStop, match=r"shows contact \+\d.\d\d mm from the expected touch, expected no contact"
+            SafetyStop, match=r"found contact in the picture \+\d.\d\d mm from the expected first touch, expected no"
         ):
             one.down(printer.sensor.tip_z_mm - 2, printer.sensor.tip_z_mm - 3)
         assert one.head.z_mm > printer.sensor.tip_z_mm - 2.0  # one long step at most
         one.lift()
         one.detector.learn_free()
         printer.faults.loses_steps_below_mm = 63.0
-        with pytest.raises(SafetyStop, match=r"shows no contact -1\.00 mm from the expected touch, expected contact"):
+        with pytest.raises(
+            SafetyStop, match=r"found no contact in the picture -1\.00 mm from the .*, expected contact"
+        ):
             one.down(printer.sensor.tip_z_mm, printer.sensor.tip_z_mm - 3)
         one.lift()
         one.detector.learn_free()

@@ -66,7 +66,7 @@ def test_from_a_board_that_restarts_to_the_start(tmp_path: Path) -> None:
         assert one.head.is_free
         one.head.to(80)
         assert not one.head.is_free
-        with pytest.raises(SafetyStop, match=r"found a sideways move at z 80.00 mm, expected one at 90.00 mm or above"):
+        with pytest.raises(SafetyStop, match=r"sideways move: found z 80.00 mm, expected z 90.00 mm or above"):
             one.head.over(100, 100)
 
 
@@ -81,9 +81,9 @@ def test_nothing_is_sent_beyond_the_limits(tmp_path: Path, to: tuple[float, floa
     with rig(tmp_path) as one:
         one.start()
         moves = list(one.printer.moves)
-        with pytest.raises(SafetyStop, match=r"expected 0 to 220 \(PRINTER.yaml\)"):
+        with pytest.raises(SafetyStop, match=r"expected 0 to 220 mm, the range in PRINTER\.yaml"):
             one.head.over(*to)
-        with pytest.raises(SafetyStop, match=r"a move to z 39.00 mm, expected 40 to 200"):
+        with pytest.raises(SafetyStop, match=r"move: found z 39.00 mm, expected 40 to 200"):
             one.head.to(39.0)
         assert one.printer.moves == moves
         assert one.head.is_certain
@@ -125,7 +125,7 @@ def test_a_printer_that_goes_elsewhere_and_does_not_say_so(tmp_path: Path) -> No
         one.start()
         one.printer.faults.highest_mm = 90.5
         with pytest.raises(
-            SafetyStop, match=r"reports position 110.00, 100.00, 90.50, expected 110.00, 100.00, 91.00 mm"
+            SafetyStop, match=r"position as 110.00, 100.00, 90.50 mm, expected 110.00, 100.00, 91.00 mm"
         ):
             one.head.to(91.0)
         assert not one.head.is_certain

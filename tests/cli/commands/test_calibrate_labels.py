@@ -71,7 +71,8 @@ def test_it_learns_and_reports(
         assert one["quantities"]["tilt_x_deg"]["error"] < 3.0
         assert "force_z_n" not in one["quantities"]  # 30 rows are too few
     assert any(
-        "force_z_n: found 30 usable rows in 30 groups, expected at least 40 in 5" in line for line in report["warnings"]
+        "force_z_n: found 30 usable rows in 30 groups, expected at least 40 rows in 5 groups" in line
+        for line in report["warnings"]
     )
     calibration = calibration_file.load(out)
     answers(calibration, folder)
@@ -123,14 +124,14 @@ def others(calibration: Calibration, folder: Path) -> None:
     [
         (
             "image,depth_mm\n0.png,1\n",
-            "LABELS.csv: found 1 of depth_mm, expected at least 40 rows for at least one quantity",
+            "LABELS.csv: found 1 rows with depth_mm, expected at least 40 rows with the same quantity",
         ),
         ("image,depth_mm\n" + 40 * "gone.png,1\n", "LABELS.csv:2: image: "),
         ("image,depth_mm\n" + 40 * "small.png,1\n", "small.png: found 32x24 px, expected 320x240 px"),
         ("image,depth_mm\n" + 40 * "free.png,1\n", "cannot learn any quantity: fast: left out 40 labelled frames: "),
         (
             "image,depth_mm,group\n" + "".join(f"{k}.png,{k},1\n" for k in range(45)),
-            "depth_mm: found 45 usable rows in 1 groups, expected at least 40 in 5; left out",
+            "depth_mm: found 45 usable rows in 1 groups, expected at least 40 rows in 5 groups; left out",
         ),
         ("image,colour\n0.png,1\n", "LABELS.csv:1: colour: found an unknown column, expected image, group and any of"),
     ],

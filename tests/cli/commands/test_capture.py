@@ -69,7 +69,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         one.hears("removed press_001.png")
         one.types("skip")
         one.types("ball 6 2.5 1 15 15")
-        one.hears("found 4 numbers after the indenter")
+        one.hears("found 4 values after the indenter")
         one.types("")
         one.hears("press_001.png: ball of 6 mm")
         one.hears("press 2, 1 planned presses left [ball of 4 mm")
@@ -138,7 +138,7 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
         wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
         press(tmp_path, "ball,6,2.5,1,-3")
         one.types("ball 6")
-        one.hears("found no press of ball in this run, expected one with depth, x and y first")
+        one.hears("found no press of ball in this run, expected a first press with depth, x and y")
         one.types("ball 6 2.5 1 -3")
         one.hears("press_001.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
         one.hears("press 2 [ball 6, where the robot holds it]:")
@@ -170,7 +170,7 @@ def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixtu
     cases = {
         "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
-        "--camera /dev/none: expected the camera that": ["--camera", "/dev/none"],
+        "--camera /dev/none: found another source in": ["--camera", "/dev/none"],
     }
     (out / "config.yaml").write_text(SOURCE)
     for said, words in cases.items():

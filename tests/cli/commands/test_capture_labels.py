@@ -107,9 +107,9 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
         one.hears("press 1 (Enter, NAME=VALUE ...")
         for words, why in (
             ("", "found nothing, expected NAME=VALUE ..., because there is neither a scale nor a robot"),
-            ("force_n=1", "found 'force_n=1', expected NAME=VALUE with one of depth_mm,"),
+            ("force_n=1", "found 'force_n=1', expected NAME=VALUE, where NAME is one of depth_mm,"),
             ("force_z_n=much", "press: force_z_n: found 'much', expected a number"),
-            ("force_z_n=1 force_z_n=2", "force_z_n: found twice, expected once"),
+            ("force_z_n=1 force_z_n=2", "force_z_n: found two values, expected one value"),
             ("touch", "found no robot, expected serial in the settings"),
             ("undo", "nothing to undo since the start"),
         ):
@@ -184,7 +184,7 @@ def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: 
         one.hears("Enter measures the drift.")
         one.types("")
         assert one.ends() == 1
-        assert "cannot match its clock to the camera's: found 2 presses (of 2)" in one.heard
+        assert "cannot match the scale's clock to the camera's: found 2 presses (of 2)" in one.heard
     rows = labelled(out)
     assert [row.known for row in rows if row.known] == [{"depth_mm": 1.0}]
     assert {row.group for row in rows} == {"1", "2", "3"}
@@ -238,8 +238,8 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both"),
-        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer too, expected neither"),
+        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both options"),
+        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer as well, expected neither"),
     ],
 )
 def test_options_that_do_not_go_together(

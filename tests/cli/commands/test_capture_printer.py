@@ -123,7 +123,7 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
         (
             "SENSOR.yaml",
             SENSOR.replace("20", "10"),
-            "found a place 8.0 mm from the axis, expected at most 7.7 mm (in view)",
+            "found a place 8.0 mm from the skin's axis, expected at most 7.7 mm, the radius",
         ),
     ],
 )
@@ -140,6 +140,6 @@ def test_what_cannot_work_is_told_before_the_port_is_opened(
 
 def test_a_printer_needs_a_plan_and_a_port(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["capture", *words[:3], "--printer", "/dev/no-such-port"]) == 78
-    assert "--printer: found no --plan, expected one" in capfd.readouterr().err
+    assert "--printer: found no --plan, expected both" in capfd.readouterr().err
     assert main(["capture", *words, "/dev/no-such-port"]) == 1
     assert "serial /dev/no-such-port: no such device" in capfd.readouterr().err

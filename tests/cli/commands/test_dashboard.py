@@ -55,7 +55,7 @@ def test_a_folder_of_recordings_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["dashboard", "--http", "0", "--recordings", str(tmp_path / "none")]) == 78
-    assert "none: found no folder, expected one with recordings" in capsys.readouterr().err
+    assert "none: found no folder, expected a folder with recordings" in capsys.readouterr().err
 
 
 def test_an_address_of_another_machine_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,7 +150,8 @@ def test_a_bad_token_is_one_line(text: str, tmp_path: Path, capsys: pytest.Captu
     path.write_text(text)
     assert cli.main(["dashboard", "--http", "0", "--token-file", str(path)]) == 78
     assert capsys.readouterr().err == (
-        f"tacshade-edge: --token-file {path}: expected one line of 16 to 128 letters, digits, '.', '_', '~' and '-'\n"
+        f"tacshade-edge: --token-file {path}: found no valid token, "
+        "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'\n"
     )
 
 

@@ -260,9 +260,9 @@ def test_an_image_of_a_hand_that_cannot_be_read_is_told(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("more", "line"),
     [
-        (("--to", "ply", "--out", "x"), "--to: found ply with 2 recordings, expected csv or mcap"),
-        (("--to", "csv"), "--out: found nothing, expected a new file for several recordings"),
-        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found one with several recordings, expected none"),
+        (("--to", "ply", "--out", "x"), "--to: found ply for 2 recordings, expected csv or mcap"),
+        (("--to", "csv"), "--out: found no file name, expected the name of a new"),
+        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found a calibration for several recordings"),
     ],
 )
 def test_what_does_not_go_with_a_hand(more: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -149,7 +149,7 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, said) == (1, "")
     rec = tmp_path / "recs" / "a"
-    why = "the daemon is offline and did not report how the recording ended; the frames so far are kept"
+    why = "the daemon is offline and did not report how the recording ended; the recorded frames are kept"
     assert errors == f"tacshade-edge: {rec}: {why}\n"
     assert Recording(rec).cut_off
     images = len(list(rec.glob("*.png")))
@@ -206,7 +206,7 @@ def test_a_reload_is_an_event_and_another_calibration_ends_it(tmp_path: Path, st
     said, errors = client.communicate(timeout=patience(30))
     assert client.returncode == 1
     assert said.endswith("(the reference or calibration changed)\n")
-    assert errors.endswith("stopped: the reference or calibration changed; the frames written so far are kept\n")
+    assert errors.endswith("stopped: the reference or calibration changed; the recorded frames are kept\n")
     assert calibration_file.load(tmp_path / "recs" / "a" / "calibration.npz").crc32 == painted_calibration().crc32
 
 

@@ -103,8 +103,8 @@ def test_calibration_set_of_the_sensor_that_the_daemon_simulates_runs(
         (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the sensor's centre"),
         (["--out", "FILE/x", "--objects", "none"], 1, "cannot write it"),
         (["--calibration-set", "FILE"], 1, "cannot write it"),
-        (["--pad", "OUT", "--pad-step", "0"], 78, "--pad-step 0, --pad-depth 2.7: expected a step of 0.5 to 20 mm"),
-        (["--pad", "OUT", "--pad-depth", "5"], 78, "a depth up to 3 mm"),
+        (["--pad", "OUT", "--pad-step", "0"], 78, "found a step of 0 mm and a depth of 2.7 mm, expected a step of 0.5"),
+        (["--pad", "OUT", "--pad-depth", "5"], 78, "a depth above 0 and up to 3 mm"),
         (["--pad", "FILE"], 1, "cannot write it"),
     ],
 )

@@ -239,4 +239,4 @@ def test_a_known_surface_is_of_no_use_for_the_flange(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words(folder, tmp_path / "out", "--find-flange", "--truth", str(folder / "PAD.npz"))) == 78
-    assert "--truth: found together with --find-flange" in capsys.readouterr().err
+    assert "--truth: found --find-flange as well" in capsys.readouterr().err

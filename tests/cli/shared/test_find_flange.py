@@ -65,5 +65,5 @@ def test_few_presses_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_start_that_is_far_off_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected at most 10 mm and 10 degrees"):
+    with pytest.raises(ConfigError, match="expected at most 15 mm and 15 degrees"):
         run(tmp_path, start=shift(30, 0, 0) @ TRUE, moving=False)

@@ -31,7 +31,7 @@ def test_references_alone_give_what_images_tell() -> None:
 def test_references_that_cannot_be_used() -> None:
     with pytest.raises(ConfigError, match="no reference image"):
         calibrate(SENSOR, [])
-    with pytest.raises(ConfigError, match="reference 2: found 320x239 px, expected 320x240 px like the first"):
+    with pytest.raises(ConfigError, match="reference 2: found 320x239 px, expected 320x240 px as in the first"):
         calibrate(SENSOR, [references()[0], references()[1][:-1]])
     for image in (unloaded() * 0, unloaded() * 0 + 255, np.zeros((1, 1), np.uint8)):
         with pytest.raises(ConfigError, match="in the reference"):

@@ -64,16 +64,16 @@ def test_whatever_is_clicked_is_refused_or_a_circle_through_it(points: list[tupl
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        ([(10, 10), (100, 100), (190, 190)], "them on a line"),
-        ([(10, 10), (10, 10), (190, 190)], "them on a line"),
-        ([(10, 10), (10, 10), (10, 10)], "them on a line"),
+        ([(10, 10), (100, 100), (190, 190)], "points on a line"),
+        ([(10, 10), (10, 10), (190, 190)], "points on a line"),
+        ([(10, 10), (10, 10), (10, 10)], "points on a line"),
         (
             rim(Disc(240, 320, 200), 0, 20, 180),
-            "two only 69 px apart on a circle of radius 200 px, expected at least 0.5 radii",
+            "two points only 69 px apart, expected at least 0.5 times the circle's radius of 200 px",
         ),
         (rim(Disc(240, 320, 20), 0, 120, 240), "a circle of radius 20 px, expected at least 33 px"),
         (rim(Disc(240, -230, 280), -30, 0, 30), "a circle with 19 % of its rim in the image, expected at least 25 %"),
-        ([(-1, 10), (100, 100), (190, 10)], "row -1, col 10, expected a point inside 640x480 px"),
+        ([(-1, 10), (100, 100), (190, 10)], "a point at row -1, col 10, expected a point inside the 640x480 px image"),
     ],
 )
 def test_clicks_that_make_no_circle_are_one_line(points: list[tuple[float, float]], said: str) -> None:

@@ -77,7 +77,7 @@ def test_a_size_that_no_camera_has_is_refused_before_it_is_decoded(
     data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(cv2, "imdecode")
-    with pytest.raises(DecodeError, match=r"found \d+x\d+ px, expected at most 8192 px a side and 16 Mi px in all"):
+    with pytest.raises(DecodeError, match=r"found \d+x\d+ px, expected at most 8192 px per side and 16 Mi px in total"):
         decode_image(data, FLAGS)
 
 

@@ -42,7 +42,8 @@ def test_exactly_the_next_frames_are_taken_once(calibration: Calibration, pictur
         (
             "black",
             ReasonCode.FRAME_INVALID,
-            "frame 4 is invalid (black: mean grey 0, deviation 0.0), expected a usable frame of an untouched sensor",
+            "frame 4 is invalid (black: mean grey level 0, standard deviation 0.0), "
+            "expected a usable frame of an untouched sensor",
         ),
     ],
 )

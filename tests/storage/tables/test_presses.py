@@ -64,7 +64,9 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
     for row, said in {
         "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected no radius: INDENTERS.yaml states it",
-        "a.png,flat,,2,,,0,0,0,0,0": "x_mm, y_mm: found nothing, expected both: they are optional only for a ball",
+        "a.png,flat,,2,,,0,0,0,0,0": (
+            "x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
+        ),
         "a.png,cube,,2,0,0,0,0,0,0,0": "indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small",
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
         "a.png,flat,,2,0,0,x,0,0,0,0": "yaw_deg: found 'x', expected a number",

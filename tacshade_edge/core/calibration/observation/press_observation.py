@@ -131,7 +131,9 @@ def pictured_places(unloaded: Calibration, presses: Sequence[KnownPress]) -> F64
 def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -> PlacedIndenter:
     """The placed indenter of a press without a ball. Raises ConfigError if the press states no place."""
     if press.x_mm is None or press.y_mm is None:
-        raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both: they are optional only for a ball")
+        raise ConfigError(
+            f"{press.name}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
+        )
     angles = press.yaw_deg, press.tilt_x_deg, press.tilt_y_deg
     return place(indenter, geometry.skin_radius_mm, press.x_mm, press.y_mm, press.depth_mm, *angles)
 

@@ -53,8 +53,9 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
         centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
-        expected = f"expected an upright skin of radius {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm"
-        raise ConfigError(f"found touches that miss a sphere by {rms_mm:.2f} mm (RMS), {expected}")
+        asked = f"is the skin upright, is its radius {skin_radius_mm:g} mm and the ball's {ball_radius_mm:g} mm?"
+        expected = f"expected at most {_MOST_RMS * skin_radius_mm:.2f} mm"
+        raise ConfigError(f"found touches that miss a sphere by {rms_mm:.2f} mm (RMS), {expected}; {asked}")
     return centre, rms_mm
 
 
@@ -88,7 +89,7 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
     seen = shown * np.exp(1j * yaw)
     rms, unscaled_rms = (float(np.sqrt(np.mean(np.abs(each - put) ** 2))) for each in (scale * seen, seen))
     if not (rms <= _MOST_PICTURED_RMS * size and _PICTURED_SCALE[0] <= scale <= _PICTURED_SCALE[1]):
-        found = f"the pictures show the ball {unscaled_rms:.1f} mm (RMS) from its stated places"
+        found = f"found the ball in the pictures {unscaled_rms:.1f} mm (RMS) from its stated places"
         raise ConfigError(f"{found}, expected at most {_MOST_PICTURED_RMS * size:.1f} mm")
     return yaw
 
@@ -159,11 +160,11 @@ def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
         The press states no place, or one that is not over the skin.
     """
     if press.x_mm is None or press.y_mm is None:
-        raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both with --depth-from-touch")
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found no values, expected both values with --depth-from-touch")
     r, x_mm, y_mm = skin_radius_mm, press.x_mm, press.y_mm
     if not x_mm**2 + y_mm**2 < r * r:
-        expected = f"expected a place over the skin, whose radius is {r:g} mm"
-        raise ConfigError(f"{press.name}: x_mm, y_mm: found {x_mm:g}, {y_mm:g}, {expected}")
+        expected = f"expected a place within the skin's radius of {r:g} mm"
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found the place {x_mm:g}, {y_mm:g} mm, {expected}")
     if press.indenter is None:
         first_mm = first_touch_mm(press.radius_mm, r, x_mm, y_mm)
     else:

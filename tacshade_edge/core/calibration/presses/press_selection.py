@@ -54,7 +54,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         one cannot be a press of this sensor.
     """
     if len(presses) < MIN_PRESSES:
-        raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 are better)")
+        raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")
     geometry = unloaded.geometry
     preprocessor = Preprocessor(unloaded, PROFILE)
     viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
@@ -91,7 +91,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        raise ConfigError(f"{len(left_out)} of {len(presses)} presses are unusable; {left_out[0]}")
+        raise ConfigError(f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}")
     return Selection(
         tuple(pressed[k] for k in usable),
         tuple(observations[k] for k in usable),
@@ -132,10 +132,10 @@ def _check_press(calibration: Calibration, press: KnownPress) -> None:
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(
             f"{press.name}: found {press.image.shape[1]}x{press.image.shape[0]} px, "
-            f"expected {calibration.image_width_px}x{calibration.image_height_px} px like the reference"
+            f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the reference"
         )
     if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
         raise ConfigError(
-            f"{press.name}: found depth {press.depth_mm} mm and ball radius {press.radius_mm} mm, "
-            f"expected 0 < depth < {r} and a radius above 0"
+            f"{press.name}: found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm, "
+            f"expected a depth above 0 and below {r} mm and a radius above 0"
         )

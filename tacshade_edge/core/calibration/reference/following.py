@@ -125,10 +125,10 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     if reason := registration.shift_reason(drift, disc) or registration.light_drift_reason(drift):
         return reason
     if abs(distance.common_grey) > COMMON_GREY:
-        text = f"light or focus: g changed by {distance.common_grey:.0f} levels everywhere"
+        text = f"light or focus: the white ratio changed by {distance.common_grey:.0f} levels everywhere"
         return Reason(ReasonCode.LIGHT_DRIFT, text)
     if distance.patch_grey > PATCH_GREY:
-        text = f"a patch of the skin changed by {distance.patch_grey:.1f} levels: a resting load, dirt or damage"
+        text = f"a resting load, dirt or damage changed a patch of the skin by {distance.patch_grey:.1f} grey levels"
         return Reason(ReasonCode.PATCH_CHANGED, text)
     return None
 

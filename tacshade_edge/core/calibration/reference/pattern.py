@@ -44,8 +44,9 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     """The stated circle, or else the one found. Raises ConfigError like `find_disc`."""
     disc = stated or find_disc(grey)
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
-        found = f"row {disc.row_c:g}, col {disc.col_c:g}, radius {disc.radius_px:g} px"
-        raise ConfigError(f"visible_circle: found {found}, expected a circle inside {grey.shape[1]}x{grey.shape[0]} px")
+        found = f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
+        expected = f"expected a circle in the {grey.shape[1]}x{grey.shape[0]} px image"
+        raise ConfigError(f"visible_circle: found {found}, {expected}")
     return disc
 
 
@@ -67,7 +68,7 @@ def find_disc(grey: U8) -> Disc:
         The image has no circle with a marker pattern.
     """
     if min(grey.shape) < _LEAST_PX:
-        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX}"
+        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
         raise ConfigError(f"found no visible circle in the reference: {found}")
     field = find_markers(grey)
     disc, refusal = None, ConfigError("found no visible circle in the reference")
@@ -194,7 +195,9 @@ def _textured_region(grey: U8, part: float) -> _Region:
     area = cv2.contourArea(hull)
     moments = cv2.moments(hull)
     if area < 0.02 * small.size or moments["m00"] == 0:
-        raise ConfigError("found no circle with a marker pattern in the reference: the pattern covers too little")
+        raise ConfigError(
+            "found no circle with a marker pattern in the reference: the pattern covers too little of the image"
+        )
     radius = float(np.sqrt(area / np.pi))
     disc = Disc(
         row_c=float(moments["m01"] / moments["m00"]) * scale,
@@ -314,7 +317,7 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
     if not strong or smooth.max() < 5 * np.median(smooth):
-        raise ConfigError("found no marker pattern in the reference: its spectrum has no clear ring")
+        raise ConfigError("found no marker pattern in the reference: the image's spectrum has no clear ring")
     first = strong[0]  # the lowest strong ring, because a honeycomb's second ring can be stronger
     near = slice(max(first - 4, 0), first + 5)
     weights = smooth[near]

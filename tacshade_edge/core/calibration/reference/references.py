@@ -114,7 +114,7 @@ def check_references(
     gate = ContactGate(preprocessor)
     pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
     if pressed:
-        load = f"reference {', '.join(pressed)} seems pressed: it differs from the mean of all references"
+        load = f"the skin seems pressed in reference {', '.join(pressed)}, compared with the mean of all references"
         warnings.append(_allowed(load, allow_loaded))
     return tuple(warnings)
 
@@ -122,7 +122,7 @@ def check_references(
 def _allowed(load: str, allow_loaded: bool) -> str:
     """Return the load's message as a warning, or raise ConfigError if no load is allowed."""
     if not allow_loaded:
-        raise ConfigError(f"{load}; take it again without contact, or pass --allow-loaded-reference")
+        raise ConfigError(f"{load}; take the references again without contact, or pass --allow-loaded-reference")
     return load
 
 
@@ -159,10 +159,10 @@ def rezero(
         drift = registration.drift(old, grey)
         if registration.shifted_too_far(drift, disc):
             shift = registration.shift_reason(drift, disc)
-            raise ConfigError(f"{lead}{shift}; fasten the camera where it was, or calibrate again")
+            raise ConfigError(f"{lead}{shift}; fasten the camera in its old position, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(
-                f"{lead}found {drift.contrast:.2f} times the old contrast, expected at least {_WORN_CONTRAST}: "
+                f"{lead}found {drift.contrast:.2f} times the old contrast, expected at least {_WORN_CONTRAST} times; "
                 "clean or focus the lens, or calibrate again"
             )
     renewed = with_reference(replace(calibration, crc32=0), greys)

@@ -76,7 +76,9 @@ def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
         return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
     scale = max(grey.shape[0] / _SEARCH_ROWS, 1.0)
     if min(grey.shape) < 16 * scale:
-        raise ConfigError(f"found no visible circle: the image is {grey.shape[1]}x{grey.shape[0]} px")
+        raise ConfigError(
+            f"found no visible circle: the image is too small or too narrow ({grey.shape[1]}x{grey.shape[0]} px)"
+        )
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     disc = find_disc(np.asarray(small, np.uint8))
     # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.

@@ -40,7 +40,7 @@ def _raw(image: PixelRows) -> U8:
     channels, to_bgr = _ENCODINGS[image.encoding]
     rows, cols, step = image.height_px, image.width_px, image.step_bytes
     if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
-        raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px a side")
+        raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px per side")
     if step < cols * channels or len(image.data) < rows * step:
         raise DecodeError(f"found {len(image.data)} bytes for {rows} rows of {step} bytes, expected whole rows")
     pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[:, : cols * channels]

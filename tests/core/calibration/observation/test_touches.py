@@ -39,7 +39,10 @@ def test_the_centre_is_found_wherever_the_touches_lie(
 
 def test_another_skin_is_refused() -> None:
     places = np.vstack(((0, 0), 8 * RING))
-    with pytest.raises(ConfigError, match="expected an upright skin of radius 32 mm and a ball of 6 mm"):
+    with pytest.raises(
+        ConfigError,
+        match=r"expected at most 0\.13 mm; is the skin upright, is its radius 32 mm and the ball's 6 mm",
+    ):
         skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
 
 
@@ -93,7 +96,7 @@ def test_travel_becomes_depth() -> None:
     upright = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4))
     assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 20, 6, 0))
     assert from_travel(flat, 20).depth_mm != pytest.approx(from_travel(upright, 20).depth_mm, abs=0.01)
-    with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found nothing"):
+    with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found no values"):
         from_travel(KnownPress("ball", image, 6.0, 2.0, None, None), 20)
-    with pytest.raises(ConfigError, match="expected a place over the skin"):
+    with pytest.raises(ConfigError, match="expected a place within the skin"):
         from_travel(KnownPress("ball", image, 6.0, 2.0, 30.0, 0.0), 20)

@@ -35,7 +35,7 @@ def test_too_few_presses() -> None:
 
 @pytest.mark.parametrize("depth_mm", [0.0, -1.0, 20.0, 1e9, float("nan"), float("inf")])
 def test_a_depth_that_cannot_be(depth_mm: float) -> None:
-    with pytest.raises(ConfigError, match=r"press 0: found depth .* expected 0 < depth < 20"):
+    with pytest.raises(ConfigError, match=r"press 0: found a depth .* expected a depth above 0 and below 20"):
         fitted([replace(presses()[0], depth_mm=depth_mm), *presses()[1:]])
 
 
@@ -47,7 +47,7 @@ def test_a_ball_that_cannot_be(radius_mm: float) -> None:
 
 def test_press_images_that_cannot_be_used() -> None:
     for image, reason in {
-        "size": (presses()[0].image[:-2], "found 320x238 px, expected 320x240 px like the reference"),
+        "size": (presses()[0].image[:-2], "found 320x238 px, expected 320x240 px as in the reference"),
         "black": (presses()[0].image * 0, "unusable: black"),
     }.values():
         with pytest.raises(ConfigError, match=f"press 0: {reason}"):
@@ -66,7 +66,7 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
 
 def test_too_many_that_disagree_are_refused() -> None:
     far = [replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6)) if k % 3 else p for k, p in enumerate(presses())]
-    with pytest.raises(ConfigError, match=r"of 20 presses are unusable; press \d+: found x "):
+    with pytest.raises(ConfigError, match=r"of 20 presses are unusable; the first one: press \d+: found x "):
         fitted(far)
 
 
@@ -145,7 +145,7 @@ def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
     (warning,) = fitted(far).warnings
     assert warning.startswith("press 0: the image moved by 5.0 px")
     assert warning.endswith("since the references were taken; left out")
-    with pytest.raises(ConfigError, match=r"20 of 20 presses are unusable; press 0: the image moved by"):
+    with pytest.raises(ConfigError, match=r"20 of 20 presses are unusable; the first one: press 0: the image moved by"):
         fitted([replace(press, image=shifted(press.image, 5)) for press in presses()])
 
 

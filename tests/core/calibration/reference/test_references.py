@@ -48,7 +48,7 @@ def test_references_that_differ_from_each_other() -> None:
     (warning,) = calibrate(SENSOR, [*others, nuisance.gain(references()[0], 0.7)]).warnings
     assert warning.startswith("reference 5: 0.7")
     one_loaded = [*others, simulated(HALF).frame((Press(ball(6.0), 3, 2, 1.5),), 9).image]
-    with pytest.raises(ConfigError, match="reference 5 seems pressed"):
+    with pytest.raises(ConfigError, match="seems pressed in reference 5"):
         calibrate(SENSOR, one_loaded)
     assert any("seems pressed" in warning for warning in calibrate(SENSOR, one_loaded, (), True).warnings)
 
