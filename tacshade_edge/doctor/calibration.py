@@ -112,7 +112,8 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
-    place = f"visible circle moved {found.shift_px:.1f} px and changed size by {100 * (found.zoom - 1):+.1f} % since calibration"
+    size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
+    place = f"visible circle moved {found.shift_px:.1f} px and {size} since calibration"
     if registration.shifted_too_far(found, calibration.geometry.disc):
         fix = "the camera moved in the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
