@@ -118,7 +118,7 @@ def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.Monk
     with pytest.raises(ConfigError, match=f"{path}: cannot recalibrate from the file's images: .*; calibrate again"):
         calibrations.load(path)
     stored(path, monkeypatch, Inputs(inputs().sensor, (black[0][:-2],)))
-    with pytest.raises(ConfigError, match="cannot read the images stored in it: found 320x238 px, expected a grey PNG"):
+    with pytest.raises(ConfigError, match="cannot read the stored images: found 320x238 px, expected a grey PNG"):
         calibrations.load(path)
 
 

@@ -84,5 +84,5 @@ def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -
     assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
     assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
-    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists, expected no such file"):
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists; this command does not replace"):
         write_printables(tmp_path / "print")
