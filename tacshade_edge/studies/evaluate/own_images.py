@@ -85,7 +85,7 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
         rays = disc_rays(Grid(height.shape[0], height.shape[1], row0, col0, step), geometry)
         points = between_pixels(skin_points(height.astype(np.float32), rays, geometry)[contact], contact)
     else:
-        raise DecodeError(f"{path}: found the keys {', '.join(sorted(content)) or 'none'}, expected {EXPECTED}")
+        raise DecodeError(f"{path}: found the keys {', '.join(sorted(content)) or 'none'}; expected {EXPECTED}")
     top = geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min()) if len(points) else 0.0
     if height is not None:
         top = float(np.nanmax(height, initial=0.0))

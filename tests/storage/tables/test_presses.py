@@ -65,7 +65,9 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     for row, said in {
         "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected none, as INDENTERS.yaml states the radius",
         "a.png,flat,,2,,,0,0,0,0,0": "x_mm, y_mm: found nothing, expected both: they are optional only for a ball",
-        "a.png,cube,,2,0,0,0,0,0,0,0": "found 'cube', expected ball or an indenter from INDENTERS.yaml: flat, small",
+        "a.png,cube,,2,0,0,0,0,0,0,0": (
+            "indenter: found 'cube', expected ball or an indenter from INDENTERS.yaml: flat, small"
+        ),
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
         "a.png,flat,,2,0,0,x,0,0,0,0": "yaw_deg: found 'x', expected a number",
         "a.png,flat,,2,0,0,0,0,0,nan,0": "shear_x_mm: found 'nan', expected a number",
@@ -84,7 +86,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
     [
         ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
-        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: missing y_mm"),
+        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*; the header lacks y_mm"),
         (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns of this name, expected one"),
         (HEADER + "a.png,ball,4.5,2\n", ":2: found 4 columns, expected 6"),
         (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
