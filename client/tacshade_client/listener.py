@@ -95,7 +95,7 @@ def listen(
     if not name.removeprefix("hand/") or set(name.removeprefix("hand/")) & set("/#\0"):
         raise ConfigError(f"name: found {quoted(name)}, expected {_NAME}")
     if password is not None and username is None:
-        raise ConfigError("password: found one without a username, expected both")
+        raise ConfigError("password: found a password without a username, expected both")
     client = Client(
         CallbackAPIVersion.VERSION2,
         client_id=f"tacshade-client-{secrets.token_hex(6)}",

@@ -18,23 +18,29 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("run", "run the daemon: camera to height maps over MQTT"),
-    "demo": ("demo", "show simulated sensors live in a browser; needs no sensor"),
+    "run": ("run", "run the daemon, which turns camera images into height maps and publishes them over MQTT"),
+    "demo": ("demo", "show simulated sensors live in a browser; no real sensor is needed"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "doctor": ("doctor", "diagnose the camera, broker, serial ports and clock, and suggest fixes"),
-    "capture": ("capture", "take a sensor's references and presses, step by step; start here with a new sensor"),
-    "calibrate": ("calibrate", "turn references and ball presses into a calibration file"),
+    "capture": ("capture", "take a sensor's reference images and presses step by step; start here with a new sensor"),
+    "calibrate": ("calibrate", "turn images of the untouched skin and of ball presses into a calibration file"),
     "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
-    "record": ("record", "ask the running daemon to make a recording, which `replay` can read"),
-    "replay": ("replay", "reconstruct a recording again, to files or a broker, or compare two runs"),
+    "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
+    "replay": ("replay", "reconstruct a recording again and write or publish the results, or compare two runs"),
     "export": ("export", "convert a recording to MCAP, a LeRobot data set, CSV or PLY for other tools"),
-    "dashboard": ("dashboard", "serve a live page for the browser: height maps, 3-D view, health; works offline"),
-    "bridge": ("bridge", "serve live data to other tools: Foxglove, Lichtblick and Prometheus"),
-    "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1 or your own images"),
+    "dashboard": ("dashboard", "serve a web page with live height maps, a 3-D view and sensor health, even offline"),
+    "bridge": ("bridge", "serve live data to Foxglove, Lichtblick and Prometheus"),
+    "evaluate": ("evaluate", "score profiles against ground truth, in the paper's Experiment 1 or for your own images"),
     "tradeoff": ("tradeoff", "measure speed against accuracy on this machine and choose a profile for a time budget"),
-    "stitch": ("stitch", "combine images and the robot's poses into one large map; score it against a known surface"),
+    "stitch": (
+        "stitch",
+        "combine images and the robot's poses into one large map, and score the map against a known surface",
+    ),
     "completion": ("completion", "print a shell script that completes commands and options"),
-    "simulate": ("simulate", "write simulated images with ground truth, a calibration set, or a scanned touchpad"),
+    "simulate": (
+        "simulate",
+        "write simulated images with ground truth, as single presses, a calibration set or a touchpad scan",
+    ),
 }
 
 

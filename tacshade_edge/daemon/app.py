@@ -228,7 +228,7 @@ class App:
         try:
             new = reload(self._document, calibrated=self._missing() is None)
         except ConfigError as error:
-            note: Reason | None = Reason(error.code, f"rejected the reload; the running settings stay in use: {error}")
+            note: Reason | None = Reason(error.code, f"rejected the reload and kept the running settings: {error}")
             _log.warning("%s", note)
             if self._missing():
                 self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
@@ -285,7 +285,7 @@ class App:
         """Settle the frames that are still in progress then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
-            _log.warning("stopped before %d frames could be sent", given_up)
+            _log.warning("stopped before %d frames were sent", given_up)
 
     # Other threads call these: they count or enqueue and do nothing else.
 

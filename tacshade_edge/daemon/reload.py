@@ -37,7 +37,7 @@ class Reloaded:
         """Why not all of it is in use; None if all is."""
         if not self.waiting:
             return None
-        return Reason(ReasonCode.RESTART, f"restart to use the new {' and '.join(self.waiting)}")
+        return Reason(ReasonCode.RESTART, f"restart the daemon to use the new {' and '.join(self.waiting)}")
 
 
 def reload(running: Document, *, calibrated: bool) -> Reloaded:

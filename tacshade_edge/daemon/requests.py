@@ -83,7 +83,7 @@ class Requests(FrameObserver):
         elif request.verb in self._others:
             self._others[request.verb](request)
         elif request.verb == "stitch":
-            text = "found no poses, expected `serial` in the settings or a folder with poses as the source"
+            text = "found no source of poses, expected `serial` in the settings or a recording with poses"
             self._refuse(request, Reason(ReasonCode.UNAVAILABLE, text))
         elif request.verb == "profile":
             self._set_profile(request)

@@ -231,7 +231,7 @@ class Supervisor:
             documents = load_all(self._path)
             hand = load_hand(self._path)
         except ConfigError as error:
-            self._note = f"rejected the reload; the running settings stay in use: {error}"
+            self._note = f"rejected the reload and kept the running settings: {error}"
         else:
             of_file: list[Document | Hand] = [*documents, *([hand] if hand else [])]
             now = {name_of(of): of for of in of_file}
@@ -252,7 +252,7 @@ class Supervisor:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)
             elif part.aborted_s is None and part.heard_s is not None and now_s > part.heard_s + WATCHDOG_S:
-                _log.error("%s: its process has not responded for %.0f s; ending it", part.name, WATCHDOG_S)
+                _log.error("%s: ending the process, which has not responded for %.0f s", part.name, WATCHDOG_S)
                 part.aborted_s = now_s
                 _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:

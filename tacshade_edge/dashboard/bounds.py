@@ -49,7 +49,7 @@ class Bounds:
 
     def _turn_away(self, why: str) -> str:
         self.turned_away += 1
-        _log.warning("turned a connection away (%d so far): %s", self.turned_away, why)
+        _log.warning("rejected a connection (%d so far): %s", self.turned_away, why)
         return why
 
 
@@ -64,7 +64,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
-                _log.warning("disconnected a page that sends but does not read")
+                _log.warning("disconnected a page that sends messages but reads none")
                 self.transport.abort()
 
     return Connection

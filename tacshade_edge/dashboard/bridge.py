@@ -90,12 +90,12 @@ class Bridge:
         except (OSError, TimeoutError) as error:
             reason = f"broker {self._broker}: {_reason(error)}"
             if not self._away:
-                _log.warning("%s; pages keep trying", reason)
+                _log.warning("%s; pages keep trying to connect", reason)
             self._away = True
             await page.close(_TRY_AGAIN, _short(reason))
             return
         if self._away:
-            _log.info("broker %s is back", self._broker)
+            _log.info("broker %s is reachable again", self._broker)
         self._away = False
         try:
             await _until_first(

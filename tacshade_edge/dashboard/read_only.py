@@ -67,7 +67,7 @@ def _check(packet: bytes) -> None:
         try:
             _check_connect(packet)
         except IndexError:
-            raise DecodeError("found a CONNECT that is cut off, expected a whole one") from None
+            raise DecodeError("found an incomplete CONNECT packet, expected a complete one") from None
     elif kind not in _PASSING:
         raise DecodeError(f"read-only: this dashboard forwards no packets of type {kind}")
 
@@ -80,16 +80,18 @@ def _check_connect(packet: bytes) -> None:
         raise DecodeError("found an unsupported protocol, expected MQTT 3.1.1 or 5")
     version, flags = packet[at + 6], packet[at + 7]
     if flags & _WILL:
-        raise DecodeError("read-only: found a last will, expected none")
+        raise DecodeError("read-only: found a last will in CONNECT, expected none")
     if not flags & _CLEAN:
-        raise DecodeError("read-only: found a persistent session, expected a clean start")
+        raise DecodeError("read-only: found a persistent session, expected a clean one")
     at += 10  # name, version, flags, keep alive
     if version == 5:
         at = _after_properties(packet, at)
     length = packet[at] << 8 | packet[at + 1]
     client_id = packet[at + 2 : at + 2 + length]
     if client_id and not client_id.startswith(CLIENT_ID):
-        raise DecodeError(f"read-only: found a wrong client identifier, expected {CLIENT_ID.decode()}...")
+        raise DecodeError(
+            f"read-only: found another client identifier, expected one that starts with {CLIENT_ID.decode()}"
+        )
 
 
 def _after_properties(packet: bytes, at: int) -> int:
@@ -104,7 +106,7 @@ def _after_properties(packet: bytes, at: int) -> int:
             raise DecodeError(f"read-only: found property {identifier} in CONNECT, expected one that a page sends")
         value = packet[at + 1 : at + 1 + _PROPERTIES[identifier]]
         if identifier == _SESSION_EXPIRY and any(value):
-            raise DecodeError("read-only: found a persistent session, expected one that ends with its connection")
+            raise DecodeError("read-only: found a persistent session, expected a session that ends with its connection")
         at += 1 + len(value)
     if at != end or end > len(packet):
         raise IndexError

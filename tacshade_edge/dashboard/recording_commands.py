@@ -56,7 +56,7 @@ class RecordingCommands:
                     command = _command(await page.recv())
                 await self._do(page, command.get("action"), command.get("name"))
             except DeviceError as error:
-                _log.info("rejected a page's command on recordings: %s", escaped(str(error)))
+                _log.info("rejected a page's recording command: %s", escaped(str(error)))
                 await _answer(page, ok=False, error=str(error))
 
     async def _do(self, page: ServerConnection, action: object, name: object) -> None:
@@ -93,13 +93,13 @@ class RecordingCommands:
         """Play a recording for as long as the page keeps this connection open."""
         if self._broker.tls is not None:
             raise DeviceError(
-                "the broker uses TLS: play the recording with `tacshade-edge replay --play --config FILE`"
+                "the broker uses TLS; play the recording with `tacshade-edge replay --play --config FILE`"
             )
         try:
             async with asyncio.timeout(_END_S + 1.0):  # the previous one may still be ending
                 await self._player.acquire()
         except TimeoutError:
-            raise DeviceError("another recording is already playing here") from None
+            raise DeviceError("this dashboard is already playing another recording") from None
         self._played = str(path)
         try:
             async with _replaying(path, self._broker) as process:

@@ -89,12 +89,12 @@ def find(folder: Path, name: object) -> Path:
     """
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
-        raise DeviceError(f"found the name {shown(str(name))}, expected one from the list")
+        raise DeviceError(f"found the name {shown(str(name))}, expected the name of a listed recording")
     path = folder
     for part in parts:
         path /= part
         if path.is_symlink():
-            raise DeviceError(f"{shown(str(name))} is a link, expected a recording")
+            raise DeviceError(f"{shown(str(name))}: found a symbolic link, expected a recording")
     if not _is_recording(path):
         raise DeviceError(f"found no recording {shown(str(name))}")
     if _look_at(folder, "/".join(parts)).is_growing:

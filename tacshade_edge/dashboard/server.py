@@ -220,10 +220,14 @@ async def run(
             logger=quiet,
         )
     except socket.gaierror as error:
-        raise DeviceError(f"address {host}: {error.strerror}, expected an address of this machine") from error
+        raise DeviceError(
+            f"cannot listen on address {host}: {error.strerror}; expected an address of this machine"
+        ) from error
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
-        raise DeviceError(f"port {port} of {host}: {reason}, expected a free port of this machine") from error
+        raise DeviceError(
+            f"cannot listen on port {port} of {host}: {reason}; expected a free port of this machine"
+        ) from error
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()

@@ -58,7 +58,9 @@ def broker_command(folder: Path, port: int) -> list[str]:
     if mosquitto:
         return [mosquitto, "-c", str(settings)]
     if importlib.util.find_spec("iotcore") is None:
-        raise DeviceError(f"demo: found no broker, expected mosquitto or the demo extra: {how_to_install('demo')}")
+        raise DeviceError(
+            f"demo: found no broker, expected mosquitto or the `demo` extra's broker: {how_to_install('demo')}"
+        )
     return [sys.executable, "-m", __name__, str(settings)]
 
 

@@ -65,9 +65,7 @@ class Child:
         code = self._process.poll()
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
-            raise DeviceError(
-                f"demo: the {self.name} exited with {code}: {lines[-1] if lines else 'it printed nothing'}"
-            )
+            raise DeviceError(f"demo: the {self.name} exited with status {code}: {lines[-1] if lines else 'no output'}")
 
     def stop(self) -> None:
         """Stop the process with SIGTERM, or with SIGKILL after 3 s."""

@@ -67,15 +67,15 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
         case ssl.SSLCertVerificationError():
             return certificate_fix(error, host)
         case ssl.SSLError():
-            return "is mqtt.port the broker's TLS port (often 8883)? To connect without TLS, leave mqtt.ca_file out"
+            return "is mqtt.port the broker's TLS port (often 8883)? To connect without TLS, omit mqtt.ca_file"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             install = "sudo apt install mosquitto"
             return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
         case ConnectionRefusedError():
-            return "is the broker running, and does it listen on that port for other machines (mosquitto: `listener`)?"
+            return "is the broker running, and does mqtt.port accept other machines (mosquitto: `listener`)?"
         case TimeoutError():
             asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
-            return f"{asked} Is it the TLS port?" if tls_ca else asked
+            return f"{asked} Is mqtt.port the broker's TLS port?" if tls_ca else asked
     return "is the network up, and is mqtt.host right?"
 
 
@@ -85,13 +85,13 @@ def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
         return "check this machine's clock, or renew the broker's certificate"
     if error.verify_code in _OTHER_NAME:
         return f"set mqtt.host to a name in the certificate, or issue a certificate for {host} (subjectAltName)"
-    return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
+    return "set mqtt.ca_file to a PEM file with the CA certificate that signed the broker's certificate"
 
 
 def no_answer_fix(tls_ca: str | None) -> str:
     """Return what to do about a server that accepts connections but does not answer as a broker."""
     asked = "is mqtt.port the port of an MQTT broker (1883)?"
-    return asked if tls_ca else f"{asked} If it is a TLS port (8883), set mqtt.ca_file"
+    return asked if tls_ca else f"{asked} If the port is a TLS port (8883), set mqtt.ca_file"
 
 
 def is_not_authorised(code: int) -> bool:

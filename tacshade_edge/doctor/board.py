@@ -31,7 +31,7 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
         elif flags >> 16 & bits:
             found.append(warning("board", f"{what} since boot, but not now", fix))
-    return tuple(found) or (ok("board", "power and temperature are fine and have been since boot"),)
+    return tuple(found) or (ok("board", "power and temperature have been fine since boot"),)
 
 
 def _governor(machine: Machine) -> tuple[Finding, ...]:
@@ -39,4 +39,4 @@ def _governor(machine: Machine) -> tuple[Finding, ...]:
     if governor != "powersave" or machine.read(f"{_CPU}/scaling_driver") in _OWN_SCALING:
         return ()
     fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
-    return (warning("board", "the governor powersave keeps the processor at its lowest speed", fix),)
+    return (warning("board", "the powersave governor keeps the processor at its lowest speed", fix),)

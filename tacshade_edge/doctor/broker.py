@@ -118,9 +118,9 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
     """Judge whether a daemon is running and whether it is this machine's."""
     if daemon.alive and daemon.rival:
         found = f"two daemons use {sensor_id}: one runs {daemon.place}; the other waits {daemon.rival}"
-        return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
+        return warning("daemon", found, "stop one of the two daemons, or give its sensor another sensor_id")
     if daemon.alive and process is None:
-        fix = "stop that other daemon, or give this sensor another sensor_id"
+        fix = "stop the other daemon, or give this sensor another sensor_id"
         return warning("daemon", f"no daemon runs here, yet {sensor_id} is {daemon.state} on this broker", fix)
     if process is None:
         return ok("daemon", "not running")
@@ -129,7 +129,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
     fix = "see journalctl -u tacshade-edge"
     if daemon.state == "degraded":
         return warning("daemon", f"running, {process}: {daemon}", fix)
-    fix = f"was it started with these settings? {fix}"
+    fix = f"was the daemon started with these settings? {fix}"
     return warning("daemon", f"{process} is running, but {sensor_id} is not online at the broker", fix)
 
 
@@ -201,7 +201,7 @@ def _greet(client: Client, session: _Session, where: str, username: str | None, 
     code = session.greeting
     if code is None:
         doing = "does not answer" if open_still else "hangs up"
-        found = f"{where}: accepts connections but {doing}: not an MQTT broker"
+        found = f"{where}: accepts connections but {doing}, so it is not an MQTT broker"
         return fault("broker", found, no_answer_fix(tls_ca))
     if not code.is_failure:
         return None
@@ -220,7 +220,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
-        return fault("broker round trip", f"the broker does not let us subscribe under {base}/", acl)
+        return fault("broker round trip", f"the broker does not let this user subscribe under {base}/", acl)
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
         found = f"the broker accepts packets of at most {most} bytes; the daemon skips larger height maps and clouds"
@@ -235,18 +235,22 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
         _pump(client, lambda: session.echoed or session.is_refused)
         if session.is_refused:
             return fault(
-                "broker round trip", f"the broker does not let us publish under {base}/ ({session.published})", acl
+                "broker round trip",
+                f"the broker does not let this user publish under {base}/ ({session.published})",
+                acl,
             )
         if not session.echoed:
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
-            return fault("broker round trip", found, f"allow the user to receive it: {acl}; or use a faster network")
+            return fault(
+                "broker round trip", found, f"allow the user to receive the message ({acl}), or use a faster network"
+            )
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms[1:]))
 
 
 def judge_round_trip(middle_ms: float) -> Finding:
     """Judge whether the round trip of a 38 KB message is quick enough."""
-    found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
+    found = f"{_MESSAGE_BYTES // 1000} KB sent and returned in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
         fix = "add set_tcp_nodelay true to the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
         return warning("broker round trip", found, fix)

@@ -24,8 +24,8 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
-    "while the daemon runs and nothing touches the skin, publish {} to tacshade/SENSOR/req/reference; if that does "
-    "not last, calibrate again (docs/how-to/calibration.md)"
+    "while the daemon runs and nothing touches the skin, publish {} to tacshade/SENSOR/req/reference; if the "
+    "problem returns, calibrate again (docs/how-to/calibration.md)"
 )
 _AGED = (
     "restore the light, exposure and focus, or take a new reference: tacshade-edge calibrate --rezero "
@@ -41,10 +41,12 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     except ConfigError as error:
         fix = calibrations.how_to_calibrate(document)
         if os.path.exists(path) and not os.access(path, os.R_OK):
-            fix = f"run this with sudo, or as the service does: {AS_SERVICE}"
+            fix = f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = f"{document.where('calibration')}: found no file {path}: the daemon publishes only the camera's picture"
+        found = (
+            f"{document.where('calibration')}: found no file {path}, so the daemon publishes only the camera's picture"
+        )
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
@@ -55,12 +57,14 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
-        found = f"{found}; the networks of {', '.join(renew)} have changed since the fit; the shipped ones are in use"
+        found = (
+            f"{found}; the networks of {', '.join(renew)} have changed since the fit; the shipped networks are in use"
+        )
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
     if fitted := calibration.fitted.get(DEFAULT):
-        depth_error = f", fitted: depth error {fitted.error_mm:.2f} mm"
+        depth_error = f", depth error after the fit {fitted.error_mm:.2f} mm"
     return calibration, (ok("calibration", found + depth_error),)
 
 
@@ -82,10 +86,13 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     found_drift = _drift(calibration, images)
     place = _check_place(calibration, found_drift)
     if not live:
-        found = f"contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
-        return (*place, ok("sensor", f"matches the calibration, {found}"))
+        found = f"a contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
+        return (*place, ok("sensor", f"the image matches the calibration and shows {found}"))
     if result.contact:
-        found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, the skin has changed"
+        found = (
+            f"the skin seems to be pressed {result.depth_max_mm:.1f} mm deep; "
+            "if nothing touches the skin, the skin has changed"
+        )
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
@@ -105,11 +112,10 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
-    place = (
-        f"visible circle {found.shift_px:.1f} px from where it was at calibration, size {100 * (found.zoom - 1):+.1f} %"
-    )
+    size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
+    place = f"visible circle moved {found.shift_px:.1f} px and {size} since calibration"
     if registration.shifted_too_far(found, calibration.geometry.disc):
-        fix = "the camera moved in the sensor: fasten it where it was, or calibrate again (docs/how-to/calibration.md)"
+        fix = "the camera moved in the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 
@@ -119,12 +125,15 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
     try:
         renewed = rezero(calibration, images)
     except ConfigError as error:
-        return warning("sensor", str(error), "lift the sensor off what it touches; " + _REZERO)
-    noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} at calibration"
+        return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)
+    noise = f"noise of {renewed.noise_grey:.2f} grey levels, compared with {calibration.noise_grey:.2f} at calibration"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
         fix = "use light that does not flicker (mains lamps do), stop whatever shakes the sensor, then calibrate again"
         return warning("sensor", noise, fix)
-    return ok("sensor", f"matches the calibration, no contact, {noise if len(images) >= 3 else 'one image'}")
+    return ok(
+        "sensor",
+        f"the image matches the calibration and shows no contact, {noise if len(images) >= 3 else 'one image'}",
+    )
 
 
 def _fix(reason: Reason) -> str:

@@ -37,7 +37,7 @@ _RATE_OFF = 0.01  # counts 29.97 as 30
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
-_STOP = "to check the camera itself, run sudo systemctl stop tacshade-edge, and start it again afterwards"
+_STOP = "to check the camera itself, stop the daemon (sudo systemctl stop tacshade-edge) and start it again afterwards"
 _PICTURE_FIXES = {
     ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
     ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
@@ -53,7 +53,11 @@ def list_cameras(machine: Machine) -> Finding:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
         return warning("camera", "found a CSI receiver but no USB camera", CSI_FIX)
-    return warning("camera", "found no camera on this machine", "plug one in; lsusb lists it if USB detects it")
+    return warning(
+        "camera",
+        "found no camera on this machine",
+        "plug in a camera; lsusb lists every USB camera that the machine detects",
+    )
 
 
 def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
@@ -63,7 +67,11 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     if not path.exists():
         return (fault("camera", f"{device}: no such device", _choose(machine)),)
     if is_csi(device, machine):
-        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_FIX),)
+        return (
+            fault(
+                "camera", f"{device}: this node belongs to the Raspberry Pi's own {card_name(device, machine)}", CSI_FIX
+            ),
+        )
     if not may_use(path) and not path.is_dir():
         return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
     try:
@@ -74,7 +82,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     stable = stable_name(device, machine)
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
         fix = f"set source.device: {stable}"
-        findings.append(warning("camera name", f"{device} may be a different camera after it is plugged in again", fix))
+        findings.append(warning("camera name", f"{device} may name a different camera after the next plug-in", fix))
     return (*findings, *_check_offer(source, str(path)))
 
 
@@ -86,7 +94,7 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
     if name := cameras.get(source.camera):
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
-    fix = f"set source.camera to one of them; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
+    fix = f"set source.camera to a listed camera; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
     return (fault("camera", f"{PROGRAM} has no camera {source.camera}; it lists {found}", fix),)
 
 
@@ -98,7 +106,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
         sizes = v4l2_node.sizes(node, source.fourcc)
         rates = v4l2_node.rates(node, source.fourcc, source.width_px, source.height_px)
     except DeviceError as error:
-        return (fault("camera format", _bare(error), "plug it in again"),)
+        return (fault("camera format", _bare(error), "unplug the camera and plug it in again"),)
     if source.fourcc not in formats:
         usable = [code for code in _FOURCCS if code in formats]
         fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
@@ -144,7 +152,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """Judge what a source other than a camera delivered: files or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "fix source.path, or the files there"),)
+        return (fault("source", str(captured.error), "correct source.path, or the files in it"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
         return (fault("source", f"{what}: delivered no image", "choose another source.path"),)
@@ -173,7 +181,7 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
             return None
         if daemon_state:
             return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
-        fix = f"find and end it: pgrep -a {PROGRAM.partition('-')[0]}"
+        fix = f"find and end that program: pgrep -a {PROGRAM.partition('-')[0]}"
         return fault("camera frames", "another program holds the camera", fix)
     device = source.device
     with contextlib.suppress(TacshadeError):
@@ -183,7 +191,7 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
         if daemon_state and (daemon in holders or not holders):
             return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
         if not holders:
-            fix = "run this with sudo to see which program it is, and end it"
+            fix = "run doctor with sudo to find the program, then end that program"
             return fault("camera frames", "another program holds the camera", fix)
         who = holders[0]
         return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
@@ -195,7 +203,7 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
     found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} requested{lost}"
     if captured.fps < _RATE_PART * set_fps:
         fix = (
-            "keep source.exposure below the frame's period, or choose a smaller size or a rate that the camera offers"
+            "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
             if check == "camera frames"
             else "lower source.fps, or stop whatever else keeps this machine busy"
         )
@@ -211,7 +219,7 @@ def _check_stamps(captured: Captured) -> Finding:
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found} and out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = "use a camera with the driver uvcvideo, whose kernel time stamps match poses to frames more exactly"
+        fix = "use a camera with the uvcvideo driver, whose kernel time stamps match poses more exactly"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
         return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")
@@ -226,7 +234,7 @@ def _check_locks(captured: Captured) -> list[Finding]:
         if lock == Lock.NO_CONTROL:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:
-            fix = f"changes in {label} look like touch: lock it (see `v4l2-ctl -d DEVICE -L`), or use another camera"
+            fix = f"changes in {label} look like touch; lock {label} (`v4l2-ctl -d DEVICE -L`), or use another camera"
             findings.append(warning("camera control", found, fix))
         else:
             findings.append(ok("camera control", found))

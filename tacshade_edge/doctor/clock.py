@@ -32,8 +32,10 @@ def judge(now_s: float, installed_s: float, synced: bool | None, resolution_s: f
     keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
-        found = f"the date is {today}, but this program was installed on {since}: times and file names will be wrong"
-        wall = fault("clock", found, f"{keep}; a board without a battery clock forgets the time when switched off")
+        found = f"the date is {today}, but this program was installed on {since}, so times and file names will be wrong"
+        wall = fault(
+            "clock", found, f"{keep}; a board without a battery-backed clock loses the time when it is switched off"
+        )
     elif synced is False:
         found = f"{today}, not synchronised: times in messages and recordings may be off; measurements are not affected"
         wall = warning("clock", found, keep)

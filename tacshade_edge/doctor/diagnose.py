@@ -34,7 +34,7 @@ Findings = tuple[Finding, ...]
 
 MACHINE_S, NODE_S, CSI_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
-_REPLUG = "unplug the camera and plug it in again; if nothing changes, reboot"
+_REPLUG = "unplug the camera and plug it in again; if the problem remains, reboot"
 _AGAIN = "run it again; if nothing changes, reboot; then report it with this line"
 
 

@@ -23,7 +23,9 @@ def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
 def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
     """Findings on what statvfs(2) reports."""
     if read_only:
-        fix = "mount it writable; if it became read-only by itself, the card may be failing: see sudo dmesg"
+        fix = (
+            "mount the file system writable; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
+        )
         return (fault("disk", f"{folder} is on a read-only file system", fix),)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
@@ -41,5 +43,5 @@ def check_wear(machine: Machine) -> tuple[Finding, ...]:
         steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
         if max(steps, default=0) >= _WORN:
             found = f"{block.name} has used at least {10 * (max(steps) - 1)} % of its life"
-            worn.append(warning("disk", found, "back up what matters and replace this storage soon"))
+            worn.append(warning("disk", found, "back up important files and replace this storage soon"))
     return tuple(worn)

@@ -63,22 +63,28 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     if _is_console(port, machine):
         fix = (
             f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi also: sudo raspi-config, Interface "
-            "Options, Serial Port, no login shell, then reboot. Leave it if no robot is on this port"
+            "Options, Serial Port, no login shell, then reboot. Do nothing if no robot uses this port"
         )
-        wrong.append(warning("serial", f"{label}: the system's console uses it and would send text to a robot", fix))
+        wrong.append(
+            warning("serial", f"{label}: the system's console uses this port and would send text to a robot", fix)
+        )
     wrong += [
-        warning("serial", f"{label}: in use by {process}", f"end it, if a robot is on this port: kill {process.pid}")
+        warning(
+            "serial",
+            f"{label}: in use by {process}",
+            f"if a robot uses this port, end that program: kill {process.pid}",
+        )
         for process in machine.holders(device)
         if process != machine.daemon() and not any(word.endswith("getty") for word in process.words[:1])
     ]
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
         fix = (
-            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to keep it, put this line into "
+            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to keep it, add this line to "
             f"/etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
         )
-        wrong.append(warning("serial", f"{label}: its chip holds bytes back for up to {timer} ms", fix))
-    return tuple(wrong) or (ok("serial", f"{label}: free to use"),)
+        wrong.append(warning("serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix))
+    return tuple(wrong) or (ok("serial", f"{label}: the port is free to use"),)
 
 
 def _stable_names(device: str, machine: Machine) -> list[str]:

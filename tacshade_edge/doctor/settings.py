@@ -45,8 +45,8 @@ def _fix(config: Path) -> str:
     try:
         open_regular(config, sys.maxsize).close()
     except PermissionError:
-        return f"run this with sudo, or as the service does: {AS_SERVICE}"
+        return f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
     except OSError:
-        by_capture = "tacshade-edge capture DIR writes settings for this camera: pass --config DIR/config.yaml"
-        return f"{by_capture}; or copy config/default.yaml there"
+        by_capture = "tacshade-edge capture DIR writes settings for this camera; pass them as --config DIR/config.yaml"
+        return f"{by_capture}, or copy config/default.yaml to {config}"
     return "fix that line (config/default.yaml explains every key)"

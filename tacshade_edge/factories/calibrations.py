@@ -50,7 +50,10 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     from tacshade_edge.core.calibration.recalibration import make_again  # needed only after an update
 
     _log.warning(
-        "%s: found version %s, expected %d; recalibrating from its images", path, version, calibration_file.VERSION
+        "%s: found version %s, expected %d; recalibrating from the file's images",
+        path,
+        version,
+        calibration_file.VERSION,
     )
     try:
         made = replace(
@@ -59,7 +62,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
             touch=calibration_file.touch_in(path),
         )
     except ConfigError as error:
-        raise ConfigError(f"{path}: cannot recalibrate from its images: {error}; calibrate again") from None
+        raise ConfigError(f"{path}: cannot recalibrate from the file's images: {error}; calibrate again") from None
     return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
 
 
@@ -86,7 +89,7 @@ def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibrat
         return calibration
     renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))
     _log.warning(
-        "%s: the networks have changed since %s was fitted; using the shipped networks; run calibrate --fit again",
+        "%s: the networks have changed since %s was fitted, so the shipped networks run; run calibrate --fit again",
         path,
         renew,
     )
@@ -104,9 +107,11 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
         write_whole(kept, path.read_bytes())
         stored = calibration_file.save(path, made, inputs)
     except (OSError, DeviceError) as error:
-        _log.warning("%s: cannot store the new calibration, so each start recalibrates: %s", path, error)
+        _log.warning(
+            "%s: the daemon recalibrates at each start because it cannot store the new calibration: %s", path, error
+        )
         return calibration_file.with_crc(made)
-    _log.warning("%s: recalibrated from its images; the old file is now %s", path, kept)
+    _log.warning("%s: recalibrated from the file's images and kept the old file as %s", path, kept)
     return stored
 
 

@@ -111,9 +111,11 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         if len(hands) > 1:
             raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one hand")
         if settings.sensor_id in fingers:
-            raise ConfigError(f"{path}: found {settings.sensor_id} twice, expected one recording per finger")
+            raise ConfigError(
+                f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"
+            )
         if (calibration := calibrations.of_recording(path)) is None:
-            raise ConfigError(f"{path}: found no {CALIBRATION_NAME} in this recording, expected one")
+            raise ConfigError(f"{path}: found no {CALIBRATION_NAME}, expected one in each recording")
         recording = Recording(path)
         cut_off = "the recording was cut off; reading what is whole" if recording.cut_off else ""
         for line in filter(None, (recording.damage, cut_off)):

@@ -34,9 +34,9 @@ def password_in(path: str | Path, where: str) -> str:
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"{where}: {path}: {reason}, expected a file with the password") from error
+        raise ConfigError(f"{where}: {path}: {reason}; expected a file with the password") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{where}: {path}: found bytes that are not UTF-8 text, expected the password") from error
+        raise ConfigError(f"{where}: {path}: found bytes that are not UTF-8, expected a password in UTF-8") from error
     if not password:
         raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
     return password

@@ -21,7 +21,7 @@ STALLED_NS: Final = 3_000_000_000
 """A finger that has reported nothing for this long is away, as in `status/camera`."""
 
 _STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet"))
-_STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor reports nothing"))
+_STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor has sent no report"))
 
 
 class HandAggregator:

@@ -227,5 +227,5 @@ def _touch(calibration: Calibration, profile: Profile) -> TouchModel | Reason | 
         return None
     if model.networks == touch_networks(profile.network, calibration.fitted.get(profile.name)):
         return model
-    text = "the touch model was trained with other networks; train it again: `tacshade-edge calibrate --labels`"
+    text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
     return Reason(ReasonCode.TOUCH_NETWORKS, text)

@@ -126,7 +126,7 @@ class FrameAssembler:
             return None
         for other in (shear, sigma):
             if other is not None and (height is None or _grid(other) != _grid(height)):
-                raise DecodeError("shear or sigma: found a grid that differs from the height map's")
+                raise DecodeError("shear or sigma: found a grid other than the height map's, expected the same grid")
         shear_mm = None if shear is None else shear.shear_mm
         points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
         if cloud is not None:

@@ -60,7 +60,7 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
             if settings.profile == AUTO:
                 where = document.where("profile")
                 raise ConfigError(
-                    f"{where}: found {AUTO}, which only the daemon offers; expected another profile, or a sensor"
+                    f"{where}: found {AUTO}, which only the daemon supports, expected another profile, or pass a sensor"
                 )
             sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
@@ -68,7 +68,9 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         height_px, width_px = sensor.image_size_px
         settings = Settings(source=V4l2(device=str(path), width_px=width_px, height_px=height_px))
     else:
-        raise ConfigError(f"{path}: expected a settings file (.yaml) or a device such as /dev/video0")
+        raise ConfigError(
+            f"{path}: found another kind of file, expected a settings file (.yaml) or a device such as /dev/video0"
+        )
     return _Live(sources.make_source(settings.source), sensor, settings.source.fps)
 
 
@@ -98,7 +100,9 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
             _log.warning("%s", line)
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
-            raise ConfigError(f"{path}: contains no {CALIBRATION_NAME}; pass a sensor: read(recording, sensor)")
+            raise ConfigError(
+                f"{path}: the recording contains no {CALIBRATION_NAME}; pass a sensor: read(recording, sensor)"
+            )
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)
 

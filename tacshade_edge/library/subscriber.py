@@ -68,7 +68,7 @@ def listen(
     if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(sensor_id) & set("/+#"):
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
-        raise ConfigError("password: found one without a username, expected both")
+        raise ConfigError("password: found a password without a username, expected both")
     address = BrokerAddress(
         host=host,
         port=port,
@@ -165,7 +165,9 @@ class _Heard(Results):
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
         state = (
-            f"its state is {shown(self._frames.state)}" if self._frames.state else "no daemon has published its state"
+            f"the sensor's state is {shown(self._frames.state)}"
+            if self._frames.state
+            else "no daemon has published a state"
         )
         reason = self._frames.info.reason
         known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""

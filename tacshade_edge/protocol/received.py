@@ -267,4 +267,4 @@ def decode_state(payload: bytes) -> State:
         if payload == state.encode():
             return state
     found = quoted(payload[:60].decode(errors="replace"))
-    raise DecodeError(f"state: found {found}, expected {', '.join(STATES)}")
+    raise DecodeError(f"state: found {found}, expected one of {', '.join(STATES)}")

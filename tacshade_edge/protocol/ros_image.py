@@ -54,7 +54,9 @@ class _Cursor:
 
     def __init__(self, payload: bytes) -> None:
         if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] > 1:
-            raise DecodeError(f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected CDR")
+            raise DecodeError(
+                f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected a CDR header"
+            )
         self._u32 = struct.Struct("<I" if payload[1] == 1 else ">I")
         self._payload, self._at = payload, _ENCAPSULATION_BYTES
 

@@ -96,7 +96,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
         read: T = _reader(whole)(value)
     except (ValueError, RecursionError) as error:  # ValueError: no UTF-8, too many digits, a dataclass's own check
         raise DecodeError(
-            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}, expected the format in docs/reference/mqtt.md"
+            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in docs/reference/mqtt.md"
         ) from error
     return read
 

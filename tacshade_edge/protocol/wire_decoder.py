@@ -171,7 +171,9 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
-            raise DecodeError(f"height/cloud payload: found a point out of range, expected all within {_MM_MAX:g} mm")
+            raise DecodeError(
+                f"height/cloud payload: found a point out of range, expected every point within {_MM_MAX:g} mm"
+            )
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
     steps = np.frombuffer(data, "<i2", rows * cols * _VALUES[kind], HEADER_BYTES)
@@ -206,10 +208,10 @@ def _check(data: bytes) -> tuple[int, int, int]:
     in_cloud = (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
     needed = in_cloud if kind == CLOUD else 2 * rows * cols * _VALUES[kind]
     if said != needed:
-        raise DecodeError(f"height/cloud payload, byte 84: found {said} payload bytes, expected {needed} for this size")
+        raise DecodeError(f"height/cloud payload, byte 84: found {said} payload bytes, expected {needed}")
     if len(data) != HEADER_BYTES + said:
         raise DecodeError(
-            f"height/cloud payload: found {len(data)} bytes, expected {HEADER_BYTES + said} as byte 84 states"
+            f"height/cloud payload: found {len(data)} bytes, expected {HEADER_BYTES + said}, as stated at byte 84"
         )
     crc, _ = CHECK.unpack_from(data, HEAD.size)
     actual = zlib.crc32(memoryview(data)[HEADER_BYTES:], zlib.crc32(data[: HEAD.size]))
@@ -223,14 +225,16 @@ def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> No
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
         raise DecodeError(f"height/cloud payload, byte 36: found {found}, expected pixel values that fit an image")
     if not 0 < scale_mm <= 1:
-        raise DecodeError(f"height/cloud payload, byte 48: found scale_mm {scale_mm:g}, expected above 0 and at most 1")
+        raise DecodeError(
+            f"height/cloud payload, byte 48: found scale_mm {scale_mm:g}, expected a number above 0 and at most 1"
+        )
 
 
 def _check_pose(pose: tuple[float, ...]) -> None:
     *place, qw, qx, qy, qz = pose
     if not all(abs(mm) <= _MM_MAX for mm in place):
         raise DecodeError(
-            f"height/cloud payload, byte 56: found a position out of range, expected one within {_MM_MAX:g} mm"
+            f"height/cloud payload, byte 56: found a position out of range, expected a position within {_MM_MAX:g} mm"
         )
     if not abs((norm := math.hypot(qw, qx, qy, qz)) - 1) <= _UNIT_OFF_MAX:
         raise DecodeError(f"height/cloud payload, byte 68: found a quaternion of length {norm:.4g}, expected 1")

@@ -54,7 +54,7 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     for name in value:
         where = f"{path}:{found[name,].line}"
         if name == "ball":
-            raise ConfigError(f"{where}: ball: found an entry, expected none: this name is built in")
+            raise ConfigError(f"{where}: ball: found an entry, expected none, because this name is built in")
         entry = as_struct(path, value, found, IndenterEntry, root, at=(name,))
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:

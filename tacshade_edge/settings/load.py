@@ -84,7 +84,7 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
             return document
     ids = ", ".join(document.settings.sensor_id for document in documents)
     if sensor_id is None:
-        raise ConfigError(f"{path}: found the sensors {ids}, expected --sensor with one of them")
+        raise ConfigError(f"{path}: found several sensors, expected --sensor with one of {ids}")
     raise ConfigError(f"--sensor: found {shown(sensor_id)}, expected one of {ids} ({path})")
 
 
@@ -130,7 +130,7 @@ def _hand_mistakes(
     if hand_id is None:
         return [_mistake(path, found, (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")]
     if seven is None:
-        text = f"found none, expected the sensor's place in the hand that {HAND} names"
+        text = f"found no place, expected the sensor's place in the hand that {HAND} names"
         return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else `split` reported it
     problem = wrong_with(seven)
     return [_mistake(path, found, (FINGER,), problem)] if problem else []

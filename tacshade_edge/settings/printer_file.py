@@ -48,6 +48,6 @@ def read_printer(path: Path) -> PrinterFile:
             )
         if not least <= start <= most:
             line = found["start_mm",].line
-            problem = f"found {key[0]} {start:g}, expected it within {key} ({least:g} to {most:g})"
+            problem = f"found {key[0]} {start:g}, expected a value within {key} ({least:g} to {most:g})"
             raise ConfigError(f"{path}:{line}: start_mm: {problem}")
     return given

@@ -119,5 +119,5 @@ def with_visible_circle(text: str, circle: Disc | None) -> str:
     except yaml.YAMLError:
         pass
     raise ConfigError(
-        f"cannot edit SENSOR.yaml in its present form; edit it by hand: {key} should be {stated or 'left out'}"
+        f"cannot edit SENSOR.yaml in its present form; edit the file by hand: {key} should be {stated or 'left out'}"
     )

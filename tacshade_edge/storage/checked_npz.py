@@ -90,9 +90,13 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
             f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
         ) from None
     except _DAMAGE:
-        raise ConfigError(f"{shown(name)}: not a {what}, or damaged; expected a file written by {writer}") from None
+        raise ConfigError(
+            f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
+        ) from None
     if _crc32(meta, arrays) != crc:
-        raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, expected the stored {crc:08x}")
+        raise ConfigError(
+            f"{name}: the file is damaged: found checksum {_crc32(meta, arrays):08x}, expected the stored {crc:08x}"
+        )
     try:
         known = json.loads(meta)
     except ValueError:

@@ -66,11 +66,13 @@ class Cluster:
         except KilledWorker as error:
             raise DeviceError(f"cluster {self._address}: one job killed {error.allowed_failures + 1} workers") from None
         except CancelledError:
-            raise DeviceError(f"cluster {self._address}: lost the scheduler") from None
+            raise DeviceError(f"cluster {self._address}: the connection to the scheduler was lost") from None
         except RuntimeError as error:
             if "deserialization" not in str(error):
                 raise
-            raise ConfigError(f"cluster {self._address}: the scheduler lacks this program or its folder") from None
+            raise ConfigError(
+                f"cluster {self._address}: the scheduler lacks this program or the program's folder"
+            ) from None
         finally:
             for job in under_way:
                 job.cancel()
@@ -103,7 +105,7 @@ def connected(address: str) -> Iterator[Cluster]:
         from distributed.versions import VersionMismatchWarning
     except ImportError:
         raise ConfigError(
-            f"--cluster: found no Dask, expected the cluster extra: {how_to_install('cluster')}"
+            f"--cluster: found no Dask, expected the `cluster` extra: {how_to_install('cluster')}"
         ) from None
     # Its log would repeat our one line on several; `AHEAD` bounds what the scheduler holds.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -136,7 +138,9 @@ def _check_versions(found: Mapping[str, Any], address: str) -> None:
     for place, other in {"scheduler": found["scheduler"], **found["workers"]}.items():
         for name in ("python", *DECIDES):
             if (theirs := other["packages"].get(name)) != ours[name]:
-                raise ConfigError(f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]} as here")
+                raise ConfigError(
+                    f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]} as on this machine"
+                )
 
 
 def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) -> Result:
@@ -144,7 +148,7 @@ def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) ->
     for name, crc32 in program.items():
         if checksum(name) != crc32:
             raise ConfigError(
-                f"a cluster worker has a different {name} in {_folder(name)}, expected the same as on this machine"
+                f"a cluster worker has a different {name} in {_folder(name)}, expected this machine's version"
             )
     cv2.setNumThreads(1)
     return fn(task)

@@ -92,7 +92,7 @@ KEYS = "expected one of sensor_id, calibration, profile"
     [
         (
             {"source": CAMERA + ", device: /dev/null"},
-            f"s.yaml:2: source.device: camera /dev/null: not a video device, {VIDEO_DEVICE}",
+            f"s.yaml:2: source.device: camera /dev/null: found another kind of device, {VIDEO_DEVICE}",
         ),
         (
             {"source": CAMERA + ", device: /dev/shm"},

@@ -59,7 +59,7 @@ def test_requests(
         }
         ask(seen, "profile", profile="fast")
         refused = ask(seen, "stitch", action="begin")
-        assert refused["error"].startswith("UNAVAILABLE: found no poses, expected `serial` in the settings")
+        assert refused["error"].startswith("UNAVAILABLE: found no source of poses, expected `serial` in the settings")
 
         taken = ask(seen, "reference")
         assert taken["ok"] is True, taken
@@ -71,7 +71,7 @@ def test_requests(
         assert wire.decode(heights[-1]).calibration_crc32 == crc
         refused = ask(seen, "reference")
         assert refused["ok"] is False
-        assert "shows contact" in refused["error"]
+        assert "found a contact" in refused["error"]
     finally:
         app.end()
 

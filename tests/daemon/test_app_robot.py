@@ -73,7 +73,7 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
             assert " contact=1 depth_mm=" in answer("CAPTURE")
             refused = answer("REFERENCE")
             assert refused.startswith("ERR")
-            assert "shows contact" in refused
+            assert "found a contact" in refused
             heights = [message for p in seen.of(f"{BASE}/height") if (message := wire.decode(p)).pose]
             for message in heights:
                 assert message.pose is not None

@@ -120,7 +120,7 @@ def test_a_touched_sensor_or_no_frames_leave_the_old_reference(
     asked.requests.handle(Request("reference"))
     asked.frames(pictures.touched, 1)
     asked.requests.poll()
-    assert "shows contact" in asked.replies[0]["error"]
+    assert "found a contact" in asked.replies[0]["error"]
     monkeypatch.setattr(requests, "REFERENCE_TIMEOUT_S", 0.0)
     asked.requests.handle(Request("reference"))
     asked.requests.poll()

@@ -204,7 +204,7 @@ def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
     text = settings.read_text().replace("kind: simulated", "kind: simulated, fps: 7").replace("127.0.0.1", "localhost")
     settings.write_text(text.replace("fast", "paper"))
     app.reload()
-    wait_until(lambda: manager.has("READY=1\nSTATUS=restart to use the new source and mqtt"))
+    wait_until(lambda: manager.has("READY=1\nSTATUS=restart the daemon to use the new source and mqtt"))
     assert app._active.reconstructor.profile.name == "paper"
 
 

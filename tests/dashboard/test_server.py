@@ -139,7 +139,7 @@ def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
 
     run(test())
     told = [record.getMessage() for record in caplog.records]
-    assert told == ["turned a connection away (1 so far): 16 pages are already open, the limit"]
+    assert told == ["rejected a connection (1 so far): 16 pages are already open, the limit"]
 
 
 def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
@@ -154,8 +154,7 @@ def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> No
 
     run(test())
     assert (
-        caplog.records[0].getMessage()
-        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+        caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
     )
 
 
@@ -211,8 +210,7 @@ def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptu
 
     run(test())
     assert (
-        caplog.records[0].getMessage()
-        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+        caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
     )
 
 

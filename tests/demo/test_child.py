@@ -24,7 +24,7 @@ def gone(pid: int) -> bool:
 
 def test_a_child_that_ends_is_told_with_its_last_line(tmp_path: Path) -> None:
     child = Child("broker", ["sh", "-c", "echo first; echo; echo no room >&2; echo; exit 3"], tmp_path)
-    with pytest.raises(DeviceError, match=r"^demo: the broker exited with 3: no room$"):
+    with pytest.raises(DeviceError, match=r"^demo: the broker exited with status 3: no room$"):
         wait_for_port(child, free_port(), 20)
     child.stop()
     assert "first" in child.output
@@ -35,7 +35,7 @@ def test_a_child_that_does_not_listen_is_told(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=rf"^demo: the daemon did not listen on port {port} within 0 s$"):
         wait_for_port(child, port, 0.0)
     child.stop()
-    with pytest.raises(DeviceError, match="exited with -15: it printed nothing"):
+    with pytest.raises(DeviceError, match="exited with status -15: no output"):
         child.check()
 
 

@@ -17,7 +17,7 @@ def test_nothing_to_say_of_a_machine_that_tells_nothing(machine: Any) -> None:
 @pytest.mark.parametrize(
     ("flags", "found"),
     [
-        ("0", ["power and temperature are fine and have been since boot"]),
+        ("0", ["power and temperature have been fine since boot"]),
         ("50000", ["under-voltage since boot, but not now", "slowed down since boot, but not now"]),
         ("50001", ["under-voltage now; frames will be late or lost", "slowed down since boot, but not now"]),
         ("80008", ["slowed down now; frames will be late or lost"]),

@@ -61,7 +61,7 @@ def test_a_name_without_an_address() -> None:
 @broker_test  # for its seconds of waiting
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
-    assert finding.found.endswith("accepts connections but does not answer: not an MQTT broker")
+    assert finding.found.endswith("accepts connections but does not answer, so it is not an MQTT broker")
 
 
 @broker_test
@@ -69,7 +69,7 @@ def test_a_port_that_says_nothing_where_tls_is_expected(listener: socket.socket,
     with Broker(tmp_path, tls=True) as other:
         finding = trouble(listener.getsockname()[1], tls_ca=str(other.ca))
     assert "no answer within" in finding.found
-    assert "Is it the TLS port?" in finding.fix
+    assert "Is mqtt.port the broker's TLS port?" in finding.fix
 
 
 @broker_test
@@ -78,7 +78,7 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         findings, daemon = ask(broker.port)
         assert findings["broker"].state == "ok"
-        assert findings["broker round trip"].found.startswith("38 KB there and back in ")
+        assert findings["broker round trip"].found.startswith("38 KB sent and returned in ")
         assert daemon == DaemonState()
         wait_until(lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself")
     assert {message.topic for message in seen.messages} == {f"{BASE}/doctor"}, "no last will, no state"
@@ -128,7 +128,7 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
         assert "mqtt.username" in nobody.fix
         denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
         assert denied.state == "fault"
-        assert denied.found.startswith(f"the broker does not let us publish under {BASE}/")
+        assert denied.found.startswith(f"the broker does not let this user publish under {BASE}/")
         assert "user guest, then topic readwrite" in denied.fix
 
 
@@ -141,7 +141,7 @@ def test_the_rules_as_shipped_and_another_name_than_the_sensors(tmp_path: Path) 
     with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
         denied = ask(broker.port, username="hand", password="right")[0]["broker round trip"]
     assert denied.state == "fault"
-    assert denied.found == f"the broker does not let us publish under {BASE}/ (Not authorized)"
+    assert denied.found == f"the broker does not let this user publish under {BASE}/ (Not authorized)"
 
 
 @broker_test
@@ -187,8 +187,8 @@ def test_tls(tmp_path: Path) -> None:
         assert "is not valid for '127.1'" in named.found
         assert "for 127.1 (subjectAltName)" in named.fix
         plain = trouble(broker.port)
-        assert plain.found.endswith("accepts connections but hangs up: not an MQTT broker")
-        assert "If it is a TLS port (8883), set mqtt.ca_file" in plain.fix
+        assert plain.found.endswith("accepts connections but hangs up, so it is not an MQTT broker")
+        assert "If the port is a TLS port (8883), set mqtt.ca_file" in plain.fix
     with Broker(tmp_path / "theirs") as broker:
         finding = trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
         assert "TLS" in finding.found or "no answer" in finding.found or "reset" in finding.found
@@ -223,7 +223,7 @@ def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) 
 
 
 def test_a_slow_round_trip() -> None:
-    assert judge_round_trip(1.2) == ok("broker round trip", "38 KB there and back in 1.2 ms")
+    assert judge_round_trip(1.2) == ok("broker round trip", "38 KB sent and returned in 1.2 ms")
     slow = judge_round_trip(41)
     assert slow.state == "warning"
     assert slow.fix.startswith("add set_tcp_nodelay true")

@@ -32,7 +32,7 @@ def free(count: int = 5) -> list[U8]:
 def test_a_sensor_as_it_was_calibrated() -> None:
     findings = judged(free())
     assert [finding.state for finding in findings.values()] == ["ok", "ok"]
-    assert findings["sensor"].found.startswith("matches the calibration, no contact, noise ")
+    assert findings["sensor"].found.startswith("the image matches the calibration and shows no contact, noise of ")
 
 
 @pytest.mark.slow
@@ -54,7 +54,7 @@ def test_a_camera_that_came_closer() -> None:
     ]
     assert place.state == "warning"
     assert place.found.startswith("visible circle ")
-    assert "fasten it where it was" in place.fix
+    assert "move it back" in place.fix
 
 
 def test_a_sensor_that_aged() -> None:
@@ -68,7 +68,7 @@ def test_a_pressed_skin() -> None:
     images = [pressed("ball", 3.0).image]
     sensor = judged(images)["sensor"]
     assert sensor.state == "warning"
-    assert "the skin seems pressed by" in sensor.found
+    assert "the skin seems to be pressed" in sensor.found
     assert judged(images, live=False)["sensor"].state == "ok", "files show presses"
 
 
@@ -132,7 +132,7 @@ def test_the_file(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF)))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "ok"
-    assert finding.found.endswith(", fitted: depth error 0.20 mm")
+    assert finding.found.endswith(", depth error after the fit 0.20 mm")
     calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF), layout="another"))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"

@@ -43,7 +43,10 @@ def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
     assert is_csi("/dev/video20", machine)
     assert "CSI" in list_cameras(machine).fix
     (finding,) = check_device(V4l2(), machine)
-    assert (finding.state, finding.found) == ("fault", "/dev/video0: is the Raspberry Pi's own rp1-cfe-csi2_ch0")
+    assert (finding.state, finding.found) == (
+        "fault",
+        "/dev/video0: this node belongs to the Raspberry Pi's own rp1-cfe-csi2_ch0",
+    )
     assert finding.fix.endswith("set source: {kind: rpicam, camera: 0}")
 
 

@@ -44,7 +44,7 @@ def test_every_subject_is_checked_whatever_another_says(config: Path, machine: A
     assert found["settings"].state == "ok"
     assert "refused: nothing listens there" in found["broker"].found
     assert "daemon" not in found, "nobody to ask"
-    assert found["sensor"].found == "matches the calibration, no contact"
+    assert found["sensor"].found == "the image matches the calibration and shows no contact"
 
 
 def test_bad_settings_come_first_and_the_machine_is_checked(config: Path, machine: Any) -> None:

@@ -39,7 +39,7 @@ def test_a_port_is_called_by_its_best_name(machine: Any) -> None:
     machine.link(BY_ID, "../../ttyUSB0")
     (finding,) = check_serial(machine)
     assert finding.state == "ok"
-    assert finding.found == f"/dev/ttyUSB0, best named {BY_ID}: free to use"
+    assert finding.found == f"/dev/ttyUSB0, best named {BY_ID}: the port is free to use"
 
 
 def test_a_port_is_no_problem_where_no_robot_is_configured(machine: Any) -> None:
@@ -55,7 +55,10 @@ def test_a_port_is_no_problem_where_no_robot_is_configured(machine: Any) -> None
 def test_an_ftdi_chip_that_holds_bytes_back(machine: Any) -> None:
     plug(machine, "ttyUSB0", device__latency_timer="16")
     (finding,) = check_serial(machine)
-    assert (finding.state, finding.found) == ("warning", "/dev/ttyUSB0: its chip holds bytes back for up to 16 ms")
+    assert (finding.state, finding.found) == (
+        "warning",
+        "/dev/ttyUSB0: the port's chip holds bytes back for up to 16 ms",
+    )
     assert finding.fix.startswith("echo 1 | sudo tee /sys/class/tty/ttyUSB0/device/latency_timer; ")
 
 
@@ -73,7 +76,7 @@ def test_another_program_and_a_console(machine: Any) -> None:
     assert findings["/dev/ttyACM0"].found == "/dev/ttyACM0: in use by process 30 (ModemManager)"
     assert "kill 30" in findings["/dev/ttyACM0"].fix
     for port in ("ttyS0", "ttyAMA0"):
-        assert "the system's console uses it" in findings[f"/dev/{port}"].found
+        assert "the system's console uses this port" in findings[f"/dev/{port}"].found
         assert f"serial-getty@{port}" in findings[f"/dev/{port}"].fix
     assert findings["/dev/ttyAMA10"].state == "ok"
 

@@ -57,4 +57,4 @@ def test_settings_that_this_user_may_not_read() -> None:
         os.seteuid(0)
         shutil.rmtree(folder)
     assert finding.state == "fault"
-    assert finding.fix.startswith("run this with sudo")
+    assert finding.fix.startswith("run doctor with sudo")

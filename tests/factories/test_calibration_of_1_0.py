@@ -86,4 +86,4 @@ def test_one_without_its_inputs_opens_too_and_says_what_to_do(path: Path, caplog
     path.write_bytes(Content(meta, arrays).packed())
     assert calibrations.load(path).factors == {}
     (line,) = caplog.messages
-    assert line == f"{path}: its fit belongs to older networks; using it without the fit; calibrate again"
+    assert line == f"{path}: ignoring the calibration's fit, which belongs to older networks; calibrate again"

@@ -67,8 +67,8 @@ def test_one_of_another_version_is_made_again_and_the_old_file_kept(
     kept = path.with_name(f"hand.v{OLDER}.npz")
     assert kept.read_bytes() == before
     assert [record.message for record in caplog.records] == [
-        f"{path}: found version {OLDER}, expected {calibration_file.VERSION}; recalibrating from its images",
-        f"{path}: recalibrated from its images; the old file is now {kept}",
+        f"{path}: found version {OLDER}, expected {calibration_file.VERSION}; recalibrating from the file's images",
+        f"{path}: recalibrated from the file's images and kept the old file as {kept}",
     ]
     caplog.clear()
     assert calibrations.load(path).crc32 == expected.crc32
@@ -101,7 +101,7 @@ def test_it_is_used_where_it_cannot_be_stored(
     path.with_name(f"hand.v{OLDER}.npz.part").mkdir()
     assert calibrations.load(path).crc32
     assert path.read_bytes() == before
-    assert "cannot store the new calibration, so each start recalibrates" in caplog.messages[-1]
+    assert "recalibrates at each start because it cannot store the new calibration" in caplog.messages[-1]
 
 
 def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,10 +115,10 @@ def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch
 def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     black = tuple(image * 0 for image in inputs().references)
     stored(path, monkeypatch, Inputs(inputs().sensor, black))
-    with pytest.raises(ConfigError, match=f"{path}: cannot recalibrate from its images: .*; calibrate again"):
+    with pytest.raises(ConfigError, match=f"{path}: cannot recalibrate from the file's images: .*; calibrate again"):
         calibrations.load(path)
     stored(path, monkeypatch, Inputs(inputs().sensor, (black[0][:-2],)))
-    with pytest.raises(ConfigError, match="cannot read the images stored in it: found 320x238 px, expected a grey PNG"):
+    with pytest.raises(ConfigError, match="cannot read the stored images: found 320x238 px, expected a grey PNG"):
         calibrations.load(path)
 
 

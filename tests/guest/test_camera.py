@@ -290,7 +290,7 @@ def test_a_node_that_does_not_capture() -> None:
     load_driver("node_types=0x100", "num_outputs=1", "output_types=1")
     with pytest.raises(
         DeviceError,
-        match=r"^camera /dev/video0: this node of the device is for output or metadata and captures no video",
+        match=r"^camera /dev/video0: this device node is for output or metadata and captures no video",
     ):
         source().open()
     unload_driver()

@@ -77,7 +77,7 @@ def test_what_is_no_sensor_id(sensor_id: str) -> None:
 
 
 def test_a_password_needs_a_username() -> None:
-    with pytest.raises(ts.ConfigError, match=r"^password: found one without a username, expected both$"):
+    with pytest.raises(ts.ConfigError, match=r"^password: found a password without a username, expected both$"):
         ts.listen(CLOSED, "drawn", password="word")
     with pytest.raises(ts.DeviceError, match="Connection refused"):
         ts.listen(CLOSED, "drawn", username="", password="")

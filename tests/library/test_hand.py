@@ -34,7 +34,7 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
             r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a hand's finger",
         ),
         ((thumb, other), "other: found the hands left, right, expected recordings of one hand"),
-        ((thumb, thumb), "found left-thumb twice, expected one recording per finger"),
+        ((thumb, thumb), "found a second recording of left-thumb, expected one recording per finger"),
         ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected 1"),
         (str(index), "recordings: found .*, expected a list of paths"),
         ((), "recordings: found .*, expected a list of paths"),
@@ -42,7 +42,7 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ts.ConfigError, match=expected):
             ts.read_hand(paths)
     (index / "calibration.npz").unlink()
-    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz in this recording, expected one"):
+    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz, expected one in each recording"):
         ts.read_hand([thumb, index])
     with pytest.raises(ts.ConfigError, match="profile: found 'best', expected one of accurate"):
         ts.read_hand([thumb], profile="best")

@@ -63,7 +63,7 @@ def test_rays_of_the_extremes_that_are_taken_are_numbers(extreme: int) -> None:
 def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
     payload = vector["payload"].encode()
     if "error" in vector:
-        with pytest.raises(DecodeError, match=r"^touch: .*, expected the format in docs/reference/mqtt.md"):
+        with pytest.raises(DecodeError, match=r"^touch: .*; expected the format in docs/reference/mqtt.md"):
             received.decode_touch(payload)
         return
     touch = received.decode_touch(payload)
@@ -72,7 +72,7 @@ def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("sent", [b"", b"on line", b"online\n", b"\xff", b"x" * 10_000_000])
 def test_a_state_that_is_none_is_refused_in_one_line(sent: bytes) -> None:
-    with pytest.raises(DecodeError, match="expected online, degraded, stopped, offline") as refused:
+    with pytest.raises(DecodeError, match="expected one of online, degraded, stopped, offline") as refused:
         received.decode_state(sent)
     assert len(str(refused.value)) < 200
 

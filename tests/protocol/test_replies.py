@@ -73,7 +73,7 @@ def test_results_have_the_serial_lines_words_as_keys(result: RequestResult, writ
 
 
 def test_the_error_of_stitch_begins_with_the_serial_lines_word() -> None:
-    reason = Reason(ReasonCode.NO_POSE, "frame 812: the robot's pose is unknown at its time")
+    reason = Reason(ReasonCode.NO_POSE, "frame 812: the robot's pose at the frame's time is unknown")
     error = json.loads(replies.encode_reply(Request("stitch", 5, action="add"), reason))
     assert (error["transaction"], error["error"], error["reason_code"]) == (5, f"NOPOSE: {reason}", "no_pose")
     error = json.loads(replies.encode_reply(Request("reference"), reason))

@@ -32,7 +32,7 @@ def test_what_is_stated_of_a_printer(tmp_path: Path) -> None:
             ":1: x_mm: found a list of 1, expected a list of 2 numbers (two numbers, the least and the most)",
         ),
         ("[0, 220]", "[0, far]", ":1: x_mm.1: found far, expected a number from -2000 to 2000"),
-        ("90.5", "30", ":4: start_mm: found z 30, expected it within z_mm (40 to 200)"),
+        ("90.5", "30", ":4: start_mm: found z 30, expected a value within z_mm (40 to 200)"),
         ("feed_mm_s: 50", "feed_mm_s: 500", ":5: feed_mm_s: found 500, expected a number from 1 to 100"),
         ("feed_mm_s: 50", "", ": feed_mm_s: found nothing, expected a number from 1 to 100"),
         ("feed_mm_s", "feed_mm_min", ":5: feed_mm_min: found an unknown key, expected one of"),

@@ -143,6 +143,6 @@ def test_a_circle_that_was_never_stated_is_left_out_already() -> None:
 def test_a_file_of_another_style_is_not_changed() -> None:
     with pytest.raises(
         ConfigError,
-        match=r"cannot edit SENSOR.yaml in its present form; edit it by hand: visible_circle should be {row",
+        match=r"cannot edit SENSOR.yaml in its present form; edit the file by hand: visible_circle should be {row",
     ):
         with_visible_circle("{skin_radius_mm: 20, visible_half_angle_deg: 50, polarity: bright}\n", CIRCLE)

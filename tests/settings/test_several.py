@@ -50,7 +50,7 @@ def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
     assert load(path, "index").settings.sensor_id == "index"
     assert load(path, "index").where("source", "camera") == f"{path}:8: sensors.index.source.camera"
     assert load(path, "thumb").where("mqtt", "host") == f"{path}:2: mqtt.host"
-    with pytest.raises(ConfigError, match="found the sensors thumb, index, expected --sensor with one of them"):
+    with pytest.raises(ConfigError, match="found several sensors, expected --sensor with one of thumb, index"):
         load(path)
     with pytest.raises(ConfigError, match=r"--sensor: found ring, expected one of thumb, index \("):
         load(path, "ring")
@@ -136,7 +136,7 @@ def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
         (
             "[1, 2.5, -3, 1, 0, 0, 0]",
             "null",
-            "4: sensors.thumb.hand_T_sensor: found none, expected the sensor's place",
+            "4: sensors.thumb.hand_T_sensor: found no place, expected the sensor's place",
         ),
         ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6, expected a list of 7 n"),
         ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),

@@ -144,7 +144,9 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     left.write_bytes(flipped(content, chunks[len(chunks) // 2] + 3, 2))
     began_s = cell.mark()
     cell.start()
-    detected_s = cell.told("its writer died; the file now ends after the last whole record", began_s)
+    detected_s = cell.told(
+        "repaired a recording whose daemon died; the file now ends after the last whole record", began_s
+    )
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))
     assert 2 <= len(told) <= 4, told  # a chunk may end inside a frame, which is reported, too

@@ -72,7 +72,7 @@ def bad_calibration(cell: Cell) -> Seen:
     path.write_bytes(data[:-300])
     assert cell.daemon is not None
     cell.daemon.send_signal(signal.SIGHUP)
-    detected_s = cell.told("rejected the reload; the running settings stay in use", since_s)
+    detected_s = cell.told("rejected the reload and kept the running settings", since_s)
     cell.maps_again(time.monotonic())
     calibration_file.save(path, painted_calibration())
     since_s = cell.mark()

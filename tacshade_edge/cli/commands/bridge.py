@@ -44,12 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             type=address(port),
             default=("127.0.0.1", port),
             metavar="HOST[:PORT]",
-            help=f"address to listen on; port 0 picks a free one (default: 127.0.0.1:{port}, this machine only)",
+            help=f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, this machine only)",
         )
         kind.add_argument("--username", metavar="NAME", help="user name for the broker")
-        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the password")
+        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the broker password")
         kind.add_argument(
-            "--ca-file", metavar="FILE", help="PEM file of the broker's CA, to connect to the broker over TLS"
+            "--ca-file",
+            metavar="FILE",
+            help="PEM file with the broker's CA certificate, for a TLS connection to the broker",
         )
         add_verbosity(kind)
 

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group(required=True)
     kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="file with the sensor's dimensions and camera")
     kind.add_argument(
-        "--rezero", type=Path, metavar="CAL.npz", help="replace only the reference of this calibration file"
+        "--rezero", type=Path, metavar="CAL.npz", help="replace only the reference in this calibration file"
     )
     parser.add_argument(
         "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="at least 5 images of the unloaded skin"
@@ -60,19 +60,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="also train the networks on the presses; takes minutes and needs the fit extra",
+        help="also train the networks on the presses; training takes minutes and needs the `fit` extra",
     )
     parser.add_argument(
         "--labels",
         type=Path,
         metavar="LABELS.csv",
-        help="table of labelled frames: their depth, tilt, shear, forces and so on",
+        help="table of frames labelled with depth, tilt, shear, forces and so on",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="calibration file to write")
     parser.add_argument(
         "--allow-loaded-reference",
         action="store_true",
-        help="warn, but do not stop, if something seems to press the skin in the reference",
+        help="warn, but do not stop, if something seems to press on the skin in the reference images",
     )
     parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
     parser.set_defaults(usage_error=parser.error)

@@ -81,11 +81,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"with --labels: read the scale on this serial port, which must send numbers with units ({BAUD} baud)",
     )
     camera = parser.add_mutually_exclusive_group()
-    camera.add_argument("--camera", metavar="DEVICE", help="the camera to use, if the machine has several")
+    camera.add_argument("--camera", metavar="DEVICE", help="camera to use, if the machine has several")
     camera.add_argument("--config", type=Path, metavar="FILE", help="settings file that names the camera as its source")
     add_sensor(parser)
     parser.add_argument(
-        "--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, in the format of PRESSES.csv"
+        "--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, with the columns of PRESSES.csv"
     )
     parser.add_argument(
         "--printer",

@@ -17,7 +17,7 @@ DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
 def add_sensor(parser: argparse.ArgumentParser) -> None:
     """Declare ``--sensor``."""
-    parser.add_argument("--sensor", metavar="ID", help="the sensor to check, if the settings have several")
+    parser.add_argument("--sensor", metavar="ID", help="sensor to use, if the settings list several")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="settings file (default: %(default)s)",
     )
-    parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a settings file instead")
+    parser.add_argument(
+        "--schema", action="store_true", help="print the JSON Schema of settings files instead of checking a file"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

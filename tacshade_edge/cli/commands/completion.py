@@ -14,8 +14,8 @@ SHELLS = ("bash", "zsh", "tcsh")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.epilog = (
-        "bash: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; "
-        "zsh: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
+        "For bash, run: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; for "
+        "zsh, run: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
     )
     parser.add_argument("shell", choices=SHELLS)
 

@@ -31,19 +31,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the broker's address and plain MQTT port (default: localhost:1883)",
     )
     parser.add_argument(
-        "--http", type=_port, default=8080, metavar="PORT", help="the page's port; 0 picks a free one (default: 8080)"
+        "--http", type=_port, default=8080, metavar="PORT", help="port of the page; 0 picks a free port (default: 8080)"
     )
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="address to listen on (default: this machine only); any other needs a token and makes the page read-only",
+        help="address to listen on (default: this machine only); others need a token and make the page read-only",
     )
     parser.add_argument(
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="file with the token that opens the page read-only; the dashboard creates it if missing",
+        help="file with the token that opens the page read-only; the dashboard creates a missing file",
     )
     parser.add_argument(
         "--allow-control", action="store_true", help="also let anyone with the token send commands to the sensors"
@@ -52,16 +52,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="list the recordings in this folder on the page, which can play, download and delete them",
+        help="let the page list, play, download and delete the recordings in this folder",
     )
     parser.add_argument(
-        "--certificate", type=Path, metavar="FILE", help="PEM file of a certificate, to serve the page over TLS"
+        "--certificate", type=Path, metavar="FILE", help="PEM file with the certificate for serving the page over TLS"
     )
     parser.add_argument(
-        "--key", type=Path, metavar="FILE", help="PEM file of the certificate's key (default: in the same file)"
+        "--key",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with the certificate's private key (default: the --certificate file)",
     )
     parser.add_argument(
-        "--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA, to connect to the broker over TLS"
+        "--ca-file",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with the broker's CA certificate, for a TLS connection to the broker",
     )
     parser.add_argument(
         "--origin",

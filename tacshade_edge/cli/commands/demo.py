@@ -50,17 +50,22 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add = parser.add_argument
-    add("--http", type=int, metavar="PORT", help=f"the page's port (default: {PORT}, or a free one)")
+    add(
+        "--http",
+        type=int,
+        metavar="PORT",
+        help=f"port of the page (default: {PORT}, or any free port if {PORT} is in use)",
+    )
     add(
         "--listen",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="address to listen on, such as 0.0.0.0 (default: this machine only)",
+        help="address to listen on, such as 0.0.0.0 (default: 127.0.0.1, this machine only)",
     )
     add(
         "--hand",
         action="store_true",
-        help="show a hand of five fingers holding a bottle instead of two separate sensors",
+        help="instead of two separate sensors, show a five-fingered hand that holds a bottle",
     )
     add("--seconds", type=float, default=math.inf, metavar="N", help="stop after N seconds")
 

@@ -29,9 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_sensor(parser)
     parser.add_argument(
-        "--bundle", type=Path, metavar="FILE", help="write a zip file of diagnostics, to send when you ask for help"
+        "--bundle",
+        type=Path,
+        metavar="FILE",
+        help="write a zip file of diagnostics that you can send when you ask for help",
     )
-    parser.add_argument("--with-frame", action="store_true", help="add a picture from the camera to the bundle")
+    parser.add_argument(
+        "--with-frame", action="store_true", help="with --bundle: add a picture from the camera to the zip file"
+    )
     parser.set_defaults(refuse=parser.error)
     parser.add_argument(
         "--json", action="store_true", help="print the findings as JSON: a list of {check, state, found, fix}"

@@ -36,11 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     study.add_arguments(
         parser,
         profiles="default: all but paper, which takes a second per frame",
-        files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
+        files="evaluation.md, evaluation.csv, evaluation.json and figure6.png",
     )
     labelled = parser.add_argument_group("your own frames with labels instead of surfaces (--images, --labels)")
     labelled.add_argument(
-        "--labels", type=Path, metavar="CSV", help=f"table with an image column and any of {', '.join(COLUMNS)}"
+        "--labels",
+        type=Path,
+        metavar="CSV",
+        help=f"table with an image column and any of the columns {', '.join(COLUMNS)}",
     )
     labelled.add_argument(
         "--sensor",
@@ -58,7 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     simulated.add_argument(
-        "--presses", type=_count, metavar="N", help="number of ball presses in each calibration, or 0 (default: 40)"
+        "--presses",
+        type=_count,
+        metavar="N",
+        help="number of ball presses in each calibration; 0 is allowed (default: 40)",
     )
     simulated.add_argument(
         "--references", type=_count, metavar="N", help="number of reference images in each calibration (default: 8)"

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--to",
         choices=tuple(FORMATS),
         required=True,
-        help="output format; mcap and lerobot need the extra of the same name",
+        help="output format; mcap and lerobot each need the extra of the same name",
     )
     add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
     add_profile(parser)
@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="PATH",
-        help="new file, or for ply and lerobot a new folder (default: beside the recording)",
+        help="file to create (for ply and lerobot: folder to create; default: next to the recording)",
     )
-    text = "a recording that `replay` can read; give one per finger to export the hand (csv, mcap)"
+    text = "recording that `replay` can read; to export a hand (csv or mcap), give one recording per finger"
     add("input", type=Path, nargs="+", metavar="RECORDING", help=text)
 
 

@@ -29,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
     add_profile(parser)
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="write a .npz file per image, and summary.json"
+        "--out", type=Path, required=True, metavar="DIR", help="folder for summary.json and one .npz file per image"
     )
-    parser.add_argument("--plot", action="store_true", help="also write a picture per image")
+    parser.add_argument("--plot", action="store_true", help="also write a picture of each image's height map")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("images", type=Path, nargs="+", metavar="IMG")
 

@@ -40,7 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--name", type=_name, metavar="NAME", help=f"name of the recording: {RECORD_NAME_RULE} (default: date and time)"
     )
     add("--format", choices=("folder", "mcap"), default="folder", help="how to store the frames (default: %(default)s)")
-    add("--seconds", type=_seconds, required=True, metavar="N", help="how many seconds to record; Ctrl-C stops earlier")
+    add(
+        "--seconds",
+        type=_seconds,
+        required=True,
+        metavar="N",
+        help="number of seconds to record; Ctrl-C stops the recording earlier",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -33,26 +33,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
     add_profile(parser)
-    add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
-    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit with 1 if they differ")
+    add("--out", type=Path, metavar="DIR", help="folder for heights.bin, clouds.bin and summary.json")
+    add(
+        "--against",
+        type=Path,
+        metavar="DIR",
+        help="compare the run in --out with this earlier run; exit with status 1 if they differ",
+    )
     add("--fps", type=positive, metavar="N", help="frame rate of a recording that has no time stamps (default: 30)")
     add(
         "--speed",
         type=positive,
         metavar="FACTOR",
-        help="playback speed as a multiple of the recording's (default: as fast as possible)",
+        help="playback speed as a multiple of the recorded speed (default: as fast as possible)",
     )
     add(
         "--play",
         action="store_true",
-        help="let the dashboard pause, step and seek until you press Ctrl-C",
+        help="let the dashboard control playback (pause, step, seek) until you press Ctrl-C",
     )
     add(
         "--loop",
         type=_count,
         default=1,
         metavar="TIMES",
-        help="how many times to play it; 0 plays until stopped (default: 1)",
+        help="number of times to play the recording; 0 repeats it until you press Ctrl-C (default: 1)",
     )
     add("--mqtt", type=address(), metavar="HOST:PORT", help="publish to this broker as `run` does")
     add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker in these settings")
@@ -68,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="?",
         metavar="INPUT",
-        help="folder of images, or a video; leave it out to only compare two runs",
+        help="folder of images or video file; omit INPUT if you only compare two runs",
     )
     parser.set_defaults(refuse=parser.error)
 

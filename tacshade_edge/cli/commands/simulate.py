@@ -66,11 +66,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the object's position in mm; may be repeated (default: 0 0)",
     )
     parser.add_argument(
-        "--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="rotation about z (default: 0)"
+        "--rotation",
+        type=_number,
+        nargs="+",
+        default=[0.0],
+        metavar="DEG",
+        help="rotation of the object about z in degrees (default: 0)",
     )
     for name, what in (
         ("drag", "distance in mm to drag the object along the skin after contact"),
-        ("tilt", "tilt in degrees about x, then y"),
+        ("tilt", "tilt of the object in degrees, first about x, then about y"),
     ):
         parser.add_argument(
             f"--{name}",
@@ -86,26 +91,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[0.0],
         metavar="DEG",
-        help="twist about z while dragging (default: 0)",
-    )
-    parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="folder for references and ball presses")
-    parser.add_argument(
-        "--presses", type=_count, default=40, metavar="N", help="number of ball presses in the set (default: 40)"
+        help="rotation about z in degrees while the object is dragged (default: 0)",
     )
     parser.add_argument(
-        "--pad", type=Path, metavar="DIR", help="folder for presses that cover a touchpad, with poses and ground truth"
+        "--calibration-set",
+        type=Path,
+        metavar="DIR",
+        help="folder for a calibration set: images of the untouched skin and of ball presses",
     )
     parser.add_argument(
-        "--pad-step", type=_number, default=4.0, metavar="MM", help="distance between presses on the pad (default: 4)"
+        "--presses",
+        type=_count,
+        default=40,
+        metavar="N",
+        help="number of ball presses in the calibration set (default: 40)",
+    )
+    parser.add_argument(
+        "--pad",
+        type=Path,
+        metavar="DIR",
+        help="folder for images of presses that cover a touchpad, with poses and ground truth",
+    )
+    parser.add_argument(
+        "--pad-step",
+        type=_number,
+        default=4.0,
+        metavar="MM",
+        help="distance between presses on the touchpad in mm (default: 4)",
     )
     parser.add_argument(
         "--pad-depth",
         type=_number,
         default=2.7,
         metavar="MM",
-        help="press depth below the tops of the bulges (default: 2.7)",
+        help="press depth in mm below the tops of the touchpad's bulges (default: 2.7)",
     )
-    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt of the presses")
+    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt from press to press")
     parser.add_argument(
         "--seed", type=_count, default=0, metavar="N", help="seed for the noise and the presses (default: 0)"
     )

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recording",
         type=Path,
         metavar="INPUT",
-        help="a recording that `replay` can read; each settled contact is a press",
+        help="recording that `replay` can read; each settled contact counts as one press",
     )
     add_profile(parser, default="accurate")  # a map may take longer
     parser.add_argument(
@@ -59,9 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="find flange_T_sensor and the frames' delay from overlapping presses (flange.json); makes no map",
+        help="write flange.json, with flange_T_sensor and the frame delay found from overlapping presses, and no map",
     )
-    parser.add_argument("--json", action="store_true", help="print map.json or flange.json")
+    parser.add_argument("--json", action="store_true", help="print map.json, or flange.json with --find-flange")
 
 
 def run(args: argparse.Namespace) -> int:

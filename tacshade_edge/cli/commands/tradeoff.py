@@ -32,20 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     study.add_arguments(
         parser,
-        profiles="default: all, and variants of each",
-        files="tradeoff.md, tradeoff.csv, tradeoff.json, tradeoff.png",
+        profiles="default: every profile and variants of each",
+        files="tradeoff.md, tradeoff.csv, tradeoff.json and tradeoff.png",
     )
     parser.add_argument(
         "--budget-ms",
         type=_milliseconds,
         metavar="MS",
-        help="print the settings of the most accurate profile that takes at most MS ms for 99 of 100 frames in contact",
+        help="print the settings of the most accurate profile that processes 99 of 100 frames in contact within MS ms",
     )
     study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
-        help="time only the shipped profiles and print a report to send in, without this board's host name",
+        help="time only the shipped profiles and print a report that you can send in; it omits this board's host name",
     )
     study.add_simulated(parser, SENSORS, "the paper's five")
 

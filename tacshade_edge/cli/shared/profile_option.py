@@ -14,7 +14,7 @@ def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None
         type=_fixed,
         choices=sorted(PROFILES),
         default=default,
-        help=f"profile, which trades speed for accuracy (default: {default})",
+        help=f"profile, a trade-off between speed and accuracy (default: {default})",
     )
 
 

@@ -48,19 +48,22 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
         metavar="NAME",
         help=f"one or more of {', '.join(PROFILES)} ({profiles})",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"write {files}")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"folder for {files}")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
     own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
     own.add_argument(
-        "--images", type=Path, metavar="DIR", help="folder of images, each with its ground truth beside it as STEM.npz"
+        "--images",
+        type=Path,
+        metavar="DIR",
+        help="folder of images and their ground truth, STEM.npz for an image named STEM",
     )
     parser.set_defaults(usage_error=parser.error)
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Declare ``--cluster``, to use the workers of other machines."""
-    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the cluster extra)"
+    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the `cluster` extra)"
     parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
 
 

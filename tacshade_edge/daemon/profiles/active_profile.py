@@ -188,7 +188,7 @@ class ActiveProfile(FrameObserver):
         self._chooser = chooser
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         _log.info(
-            "profile %s: starting with %s for a budget of %g ms; measured here: %s",
+            "profile %s: starting with %s for a budget of %g ms; measured costs: %s",
             *(AUTO, chooser.profile, self.budget_ms, costs),
         )
 

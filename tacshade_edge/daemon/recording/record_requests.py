@@ -59,7 +59,9 @@ class RecordRequests(FrameObserver):
         """Fix the MCAP recordings that a daemon left when it died; called before the first recording begins."""
         try:
             for path in fix_recordings(folder):
-                _log.warning("%s: its writer died; the file now ends after the last whole record", path)
+                _log.warning(
+                    "%s: repaired a recording whose daemon died; the file now ends after the last whole record", path
+                )
         except DeviceError as error:
             _log.warning("%s", error)
 

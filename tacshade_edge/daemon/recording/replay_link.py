@@ -102,7 +102,7 @@ class ReplayLink:
         if self._wait:
             with self._changed:
                 if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
-                    found = f"{self._where}: the broker accepted nothing for {HAND_OVER_S:.0f} s"
+                    found = f"{self._where}: the broker accepted no message for {HAND_OVER_S:.0f} s"
                     raise DeviceError(found, code=ReasonCode.STALLED)
 
     def counters(self) -> dict[str, int]:

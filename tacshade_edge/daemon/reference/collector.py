@@ -29,11 +29,12 @@ class ReferenceCollector:
         if self._finished:
             return
         if not result.valid:
-            text = f"frame {frame.seq} is invalid ({result.reason}), expected a usable frame of an untouched sensor"
-            self._finish(Reason(ReasonCode.FRAME_INVALID, text))
+            found = f"frame {frame.seq}: found an invalid frame ({result.reason})"
+            expected = "expected a valid frame of an untouched sensor"
+            self._finish(Reason(ReasonCode.FRAME_INVALID, f"{found}, {expected}"))
         elif result.contact:
-            found = f"frame {frame.seq} shows contact {result.depth_max_mm:.2f} mm deep"
-            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected an untouched sensor"))
+            found = f"frame {frame.seq}: found a contact {result.depth_max_mm:.2f} mm deep"
+            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected no contact"))
         else:
             self._images.append(frame.image)
             if len(self._images) == REFERENCE_FRAMES:

@@ -71,7 +71,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
     if stored is None:
         return Origin(calibrated, calibrated, reason=unowned)
     taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
-    _log.info("using the reference taken %s, from %s", taken, path)
+    _log.info("using the reference taken at %s and stored in %s", taken, path)
     return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
 
 

@@ -95,7 +95,7 @@ class References(FrameObserver):
             self._lock = FolderLock(self._path.parent, f"sensor {self._sensor_id}", file=self._path.name)
         except DeviceError as error:
             if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is reported when something is stored
-                _log.warning("%s; not storing references taken here", error)
+                _log.warning("%s; this daemon does not store new references", error)
                 self._unowned = error.reason
 
     def take(self, images: Sequence[U8]) -> ReferenceTaken:

@@ -312,7 +312,7 @@ class SessionWorker:
         if len(add.points.points_mm) == 0:
             raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches the sensor")
         if (pose := self._with_pose(add.frame).pose) is None:
-            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose is unknown at its time")
+            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose at the frame's time is unknown")
         added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
         with self._lock:
             self._counts["presses"] += 1
@@ -321,7 +321,7 @@ class SessionWorker:
 
     def _end(self, session: Session) -> SessionEnded:
         if session.presses == 0:
-            raise RefusedError(ReasonCode.NO_PRESS, "the session has no press; ABORT ends it")
+            raise RefusedError(ReasonCode.NO_PRESS, "the session has no press; use ABORT to end the session")
         self._state = replace(self._current_state(), ending=True)
         ended, final_map = session.finish(self._missed)
         self._map_folder = str(session.folder)

@@ -295,16 +295,16 @@ class _Stream:
         codes = {"acquire": ReasonCode.IN_USE, "available": ReasonCode.ABSENT}
         code = next((code for word, code in codes.items() if word in why), ReasonCode.LOST)
         status = self._process.returncode
-        return DeviceError(f"{self._name}: the program exited with {status}: {why!r}", code=code)
+        return DeviceError(f"{self._name}: the program exited with status {status}: {why!r}", code=code)
 
     def _stalled(self) -> DeviceError:
-        return DeviceError(f"{self._name}: no frame arrives; the camera has stalled", code=ReasonCode.STALLED)
+        return DeviceError(f"{self._name}: the camera has stalled and sends no frames", code=ReasonCode.STALLED)
 
     def other_size(self) -> DeviceError:
         """Return the error for frames of the wrong size."""
         height_px, width_px = self._shape
         return DeviceError(
-            f"{self._name}: found frames of the wrong size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
+            f"{self._name}: found frames of another size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
             code=ReasonCode.NOT_OFFERED,
         )
 

@@ -118,7 +118,7 @@ class V4l2Source:
             if not capture.isOpened():
                 if v4l2_node.is_busy(self._device):
                     raise DeviceError(f"camera {self._device}: in use by another program", code=ReasonCode.IN_USE)
-                raise DeviceError(f"camera {self._device}: cannot set it up for capture")
+                raise DeviceError(f"camera {self._device}: cannot set up the camera for capture")
             self._negotiated = {"card": card, **self._negotiate(capture)}
             self._gaps = FrameGaps()
             self._check_stamps(capture)

@@ -47,7 +47,7 @@ def check_kind(device: str) -> None:
     subsystem = Path("/sys/dev/char", number, "subsystem")
     # A node without an entry there is being plugged or unplugged: opening it shows which.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
-        raise ConfigError(f"camera {device}: not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
+        raise ConfigError(f"camera {device}: found another kind of device, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
 
 
 def check_node(device: str) -> str:
@@ -70,8 +70,8 @@ def check_node(device: str) -> str:
             ) from None
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
         raise DeviceError(
-            f"camera {device}: this node of the device is for output or metadata and captures no video;"
-            " v4l2-ctl --list-devices shows the others",
+            f"camera {device}: this device node is for output or metadata and captures no video;"
+            " v4l2-ctl --list-devices shows the other nodes",
             code=ReasonCode.WRONG_KIND,
         )
     return capability[16:48].split(b"\0")[0].decode(errors="replace")
@@ -191,7 +191,7 @@ def _opened(device: str) -> Iterator[int]:
             f"camera {device}: no permission to open it (is the user in the group video?)", code=ReasonCode.PERMISSION
         ) from None
     except ValueError:
-        raise DeviceError(f"camera {device!r}: not a path, {_EXPECTED}", code=ReasonCode.ABSENT) from None
+        raise DeviceError(f"camera {device!r}: found an invalid path, {_EXPECTED}", code=ReasonCode.ABSENT) from None
     except OSError as error:
         raise DeviceError(f"camera {device}: cannot open it ({error.strerror})") from None
     try:

@@ -56,7 +56,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Cl
             client.tls_set(ca_certs=tls_ca)
         except (OSError, ssl.SSLError) as error:
             raise ConfigError(
-                f"TLS authority {tls_ca}: {error.strerror or error}, expected a PEM file of certificates"
+                f"TLS authority {tls_ca}: {error.strerror or error}; expected a PEM file with certificates"
             ) from error
     return client
 
@@ -141,6 +141,8 @@ def _check(host: str, base_topic: str) -> None:
     except UnicodeError:
         sound = False
     if not sound:
-        raise ConfigError(f"MQTT host {host!r}: expected a host name or an address")
+        raise ConfigError(f"MQTT host: found {host!r}, expected a host name or an address")
     if not base_topic or base_topic.strip("/") != base_topic or set(base_topic) & set("+#\0"):
-        raise ConfigError(f"MQTT topic {base_topic!r}: expected levels such as tacshade/left-index, without + or #")
+        raise ConfigError(
+            f"MQTT topic: found {base_topic!r}, expected levels such as tacshade/left-index, without + or #"
+        )

@@ -174,7 +174,7 @@ class MqttLink(Outgoing):
 
     def _report_holder(self, reason: Reason) -> None:
         if reason != self._reason:
-            _log.warning("%s; waiting for it to stop", reason)
+            _log.warning("%s; waiting for the other daemon to stop", reason)
         with self._lock:
             self._reason = reason
 

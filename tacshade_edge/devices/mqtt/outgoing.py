@@ -265,8 +265,10 @@ class Outgoing:
         if most is None or size <= most:
             return False
         if not self._reported_too_large:
-            text = "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size); not sending %s of %d bytes"
-            _log.warning(text + "; this is logged once", self._where, most, self._path(topic), size)
+            text = (
+                "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size); skipped %s, which has %d bytes"
+            )
+            _log.warning(text + "; similar messages are not logged again", self._where, most, self._path(topic), size)
         self._reported_too_large = True
         return True
 

@@ -70,7 +70,7 @@ class SerialPort:
             port.exclusive = True
             port.open()
         except ValueError as error:  # pyserial: the port does not support this rate
-            raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port supports") from None
+            raise ConfigError(f"serial {self.device}: {error}; expected a baud rate that the port supports") from None
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
         self._port, self._proven = port, True
@@ -147,9 +147,9 @@ def check_kind(device: str) -> None:
         try:
             serial.serial_for_url(device, do_not_open=True)
         except ValueError as error:
-            raise ConfigError(f"serial {device}: {error}, expected a device or a pyserial URL") from None
+            raise ConfigError(f"serial {device}: {error}; expected a device or a pyserial URL") from None
     elif (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
-        found = "found no character device, expected a serial port"
+        found = "found another kind of file, expected a serial port's character device"
         raise ConfigError(f"serial {device}: {found}", code=ReasonCode.WRONG_KIND)
 
 

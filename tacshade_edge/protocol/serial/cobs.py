@@ -37,7 +37,7 @@ def decode(data: bytes) -> bytes:
     out = bytearray()
     at, end = 0, len(data)
     if b"\0" in data:
-        raise DecodeError("COBS: found a zero inside a frame")
+        raise DecodeError("COBS: found a zero byte inside a frame, expected none")
     while at < end:
         code = data[at]
         if at + code > end:

@@ -65,7 +65,7 @@ def parse_line(raw: bytes) -> Line | Reason:
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(
             ReasonCode.NOT_A_LINE,
-            f"expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
+            f"found other or too many bytes, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
         )
     text, star, digits = raw.decode("ascii").rpartition("*")
     if not star:
@@ -76,8 +76,11 @@ def parse_line(raw: bytes) -> Line | Reason:
         return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits.upper()}, expected {crc:04X}")
     head = _HEAD.fullmatch(text.strip(" "))
     if head is None or (head[1] is None and head[2].startswith("#")):
-        return Reason(ReasonCode.BAD_SYNTAX, "expected [#seq] VERB args, and optionally a star with the CRC")
+        return Reason(
+            ReasonCode.BAD_SYNTAX,
+            "found another form, expected [#seq] VERB args, optionally followed by a star and the CRC",
+        )
     seq = head[1]
     if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):
-        return Reason(ReasonCode.BAD_SYNTAX, f"found #{seq[:16]}, expected # and 0 to {SEQ_MODULO - 1}")
+        return Reason(ReasonCode.BAD_SYNTAX, f"found #{seq[:16]}, expected # and a number from 0 to {SEQ_MODULO - 1}")
     return Line(None if seq is None else int(seq), head[2].upper(), tuple(head[3].split()), text, bool(star))

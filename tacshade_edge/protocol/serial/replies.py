@@ -44,11 +44,11 @@ class ReplyCache:
         known = self._entries.get(seq)
         if known is not None:
             if known.text != text:
-                return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new one")
+                return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new number")
             return Repeat(known.reply)
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
         if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be gone: it may have been executed
-            text = f"found a used line number, expected HELLO or one above #{self._newest}"
+            text = f"found an old line number, expected HELLO or a number above #{self._newest}"
             return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
             self._newest = seq

@@ -63,13 +63,13 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
     if names and names[-1][0].isdigit():
         text = names.pop()
         if not text.isdigit() or not 1 <= int(text) <= RATE_MAX_HZ:
-            raise DecodeError(f"found the RATE {text[:16]}, expected whole Hz from 1 to {RATE_MAX_HZ}")
+            raise DecodeError(f"found the RATE {text[:16]}, expected a whole number of Hz from 1 to {RATE_MAX_HZ}")
         rate_hz = int(text)
     unknown = next((name for name in names if name not in QUANTITIES), None)
     if unknown is not None:
         raise DecodeError(f"found {unknown[:20]!r}, expected one of {' '.join(QUANTITIES)}")
     if not 1 <= len(set(names)) == len(names) <= NAMES_MAX:
-        raise DecodeError(f"found {len(names)} names, expected 1 to {NAMES_MAX}, each once")
+        raise DecodeError(f"found {len(names)} names, expected 1 to {NAMES_MAX} different names")
     return TouchAsked(tuple(names), rate_hz)
 
 
@@ -85,7 +85,7 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
     longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE
     if asked.rate_hz * longest_bytes <= most_bytes_s:
         return None
-    found = f"found {asked.rate_hz} events a second of up to {longest_bytes} bytes"
+    found = f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to {longest_bytes} bytes)"
     expected = f"expected at most {most_bytes_s:.0f} bytes/s, {100 * SHARE:g} % of {baud} baud"
     rate_hz = int(most_bytes_s // longest_bytes)
     instead = f"a RATE of at most {rate_hz}, " if rate_hz else ""

@@ -123,7 +123,7 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
         if kept := calibration_inputs.pack(inputs):
             content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
         else:
-            _log.warning("%s: its images are too large to store; after an update, calibrate again", path)
+            _log.warning("%s: the calibration's images are too large to store; calibrate again after each update", path)
     try:
         write_whole(Path(path), content.packed())
     except OSError as error:
@@ -172,7 +172,7 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
             raise ValueError("expected an image in reference_grey")
         return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
     except (ValueError, KeyError) as error:
-        raise ConfigError(f"{name}: cannot read the images stored in it: {shown(error)}: calibrate again") from None
+        raise ConfigError(f"{name}: cannot read the stored images: {shown(error)}; calibrate again") from None
 
 
 def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
@@ -199,7 +199,7 @@ def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") not in range(OLDEST, VERSION + 1):
         found = shown(meta.get("version"), 20)
-        raise ConfigError(f"{name}: found calibration version {found}, expected {VERSION}: calibrate again")
+        raise ConfigError(f"{name}: found calibration version {found}, expected {VERSION}; calibrate again")
     fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
     touch = touch_models.unpack(meta.get("touch", {}), arrays)
     others = {*calibration_inputs.ARRAYS, *map(fitted_networks.array_name, fitted)}
@@ -210,7 +210,7 @@ def _from_content(name: str, content: Content) -> Calibration:
     calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
     if meta["version"] != VERSION and meta["factors"]:
-        _log.warning("%s: its fit belongs to older networks; using it without the fit; calibrate again", name)
+        _log.warning("%s: ignoring the calibration's fit, which belongs to older networks; calibrate again", name)
         meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(
         geometry=Geometry(

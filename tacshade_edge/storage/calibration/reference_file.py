@@ -83,7 +83,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     if meta.get("version") != VERSION or set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{path}: not a stored reference of version {VERSION}; take a new reference")
     if meta.get("belongs_to") != belongs_to(calibrated):
-        text = f"{path}: the stored reference belongs to another calibration; take a new one"
+        text = f"{path}: the stored reference belongs to another calibration; take a new reference"
         raise ConfigError(text, code=ReasonCode.CALIBRATION_CHANGED)
     shape = (calibrated.image_height_px, calibrated.image_width_px)
     noise_grey, wall_ns = meta.get("noise_grey"), meta.get("wall_ns")

@@ -54,7 +54,7 @@ def read_stl(path: Path) -> F64:
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise DecodeError(f"{path}: found {len(corners)} triangles, expected 1 to {MAX_TRIANGLES}")
     if not np.isfinite(corners).all():
-        raise DecodeError(f"{path}: found a corner that is not finite, expected finite numbers")
+        raise DecodeError(f"{path}: found a corner with numbers that are not finite, expected finite numbers")
     return corners
 
 
@@ -78,9 +78,13 @@ def _ascii(path: Path, data: bytes) -> F64:
             try:
                 x, y, z = map(float, rest)
             except ValueError:
-                raise DecodeError(f"{path}:{number}: found {quoted(line.strip())}, expected vertex x y z") from None
+                raise DecodeError(
+                    f"{path}:{number}: found {quoted(line.strip())}, expected a line of the form vertex x y z"
+                ) from None
             if len(corners) == 3 * MAX_TRIANGLES:
-                raise DecodeError(f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most that many")
+                raise DecodeError(
+                    f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most {MAX_TRIANGLES}"
+                )
             corners.append((x, y, z))
             in_facet += 1
         elif word.lower() == "endfacet":
@@ -88,5 +92,5 @@ def _ascii(path: Path, data: bytes) -> F64:
                 raise DecodeError(f"{path}:{number}: found a facet of {in_facet} corners, expected 3")
             in_facet = 0
     if in_facet:
-        raise DecodeError(f"{path}: found the end of the file within a facet, expected endfacet")
+        raise DecodeError(f"{path}: found the end of the file within a facet, expected the line endfacet")
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)

@@ -145,7 +145,7 @@ class FilesSource:
         if self._size is None:
             self._size = (height, width)
         if self._size != (height, width):
-            expected = f"{self._size[1]}x{self._size[0]} px as in the first image"
+            expected = f"{self._size[1]}x{self._size[0]} px, the size of the first image"
             raise DecodeError(
                 f"{item if isinstance(item, Path) else self._path}: found {width}x{height} px, expected {expected}"
             )

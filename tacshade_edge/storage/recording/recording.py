@@ -82,14 +82,16 @@ class Recording:
         if self._mcap is not None:
             self.cut_off = self._mcap.cut_off
             if fps is not None:
-                raise ConfigError(f"--fps: found {fps:g}, expected none: {path} has the time stamps")
+                raise ConfigError(f"--fps: found {fps:g}, expected no value, because {path} contains the time stamps")
         self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
         self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
         self.damage = "" if self._rows is None else self._rows.damage
         if self._mcap is not None:
             self.damage = self._mcap.damage
         if fps is not None and self._table is not None:
-            raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
+            raise ConfigError(
+                f"--fps: found {fps:g}, expected no value, because {self._table} contains the time stamps"
+            )
         one_pass = 0
         if self._rows is not None:
             one_pass = len(self._rows)
@@ -190,14 +192,12 @@ class Recording:
                 yield Row(str(index), round(index * self._period_ns), None), image
             elif index == len(rows) or rows[index].image != str(index):
                 found = f"frame {rows[index].image!r} in row {index + 1}" if index < len(rows) else f"{index} rows"
-                raise ConfigError(
-                    f"{self._table}: found {found}, expected one row per frame of the video, numbered from 0"
-                )
+                raise ConfigError(f"{self._table}: found {found}, expected one row per video frame, numbered from 0")
             else:
                 yield rows[index], image
             index += 1
         if rows is not None and index < len(rows):
-            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index}, one per frame of the video")
+            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index} rows, one per video frame")
 
 
 def _table_beside(path: Path) -> Path | None:

@@ -123,9 +123,11 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a run written by `replay --out`") from None
     except (ValueError, RecursionError) as error:
-        raise DecodeError(f"{path}: not JSON: {error}, expected a run written by `replay --out`") from None
+        raise DecodeError(
+            f"{path}: the file is not valid JSON: {error}; expected a run written by `replay --out`"
+        ) from None
     if not (isinstance(records, list) and all(isinstance(r, dict) and "seq" in r for r in records)):
-        raise DecodeError(f"{path}: found JSON that is not a run's summary, expected a run written by `replay --out`")
+        raise DecodeError(f"{path}: found other JSON, expected the summary of a run written by `replay --out`")
     return records
 
 

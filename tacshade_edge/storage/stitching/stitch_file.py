@@ -241,7 +241,9 @@ def read_info(folder: Path) -> SessionInfo:
     if not 1 <= info.version <= VERSION:
         raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
     if info.version >= 2 and info.crc32 != _crc32(info):
-        raise DecodeError(f"{path}: damaged: its checksum is {_crc32(info)}, expected the stored {info.crc32}")
+        raise DecodeError(
+            f"{path}: the file is damaged: found checksum {_crc32(info)}, expected the stored {info.crc32}"
+        )
     return msgspec.structs.replace(info, crc32=0)
 
 

@@ -72,14 +72,16 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
     if indenter != BALL and indenter not in names:
         raise ConfigError(f"{where}: indenter: found {indenter!r}, expected {' or '.join((BALL, *sorted(names)))}")
     if indenter != BALL and radius_text:
-        raise ConfigError(f"{where}: radius_mm: found {radius_text!r}, expected nothing: {INDENTERS} states it")
+        raise ConfigError(
+            f"{where}: radius_mm: found {radius_text!r}, expected nothing, because {INDENTERS} states the radius"
+        )
     if indenter == BALL and not number(where, "radius_mm", radius_text) > 0:
         raise ConfigError(f"{where}: radius_mm: found {radius_text}, expected a number above 0")
     if not 0 < number(where, "depth_mm", depth_text) < skin_radius_mm:
         expected = f"a number above 0 and below the skin's radius of {skin_radius_mm:g} mm"
         raise ConfigError(f"{where}: depth_mm: found {depth_text}, expected {expected}")
     if (x_text == "") != (y_text == ""):
-        raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
+        raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
     if x_text and not number(where, "x_mm", x_text) ** 2 + number(where, "y_mm", y_text) ** 2 < skin_radius_mm**2:
         expected = f"a place within the skin's radius of {skin_radius_mm:g} mm"
         raise ConfigError(f"{where}: x_mm, y_mm: found the place {x_text}, {y_text} mm, expected {expected}")
@@ -174,7 +176,7 @@ class CaptureFolder:
         try:
             return [read_image(path) for path in sorted(self.path.glob(REFERENCES))]
         except DecodeError as error:
-            raise ConfigError(f"{error}; delete it to take the references again") from None
+            raise ConfigError(f"{error}; delete this image to take the references again") from None
 
     def write_references(self, images: Sequence[U8]) -> None:
         """Replace the reference images; an interruption leaves too few images but never a mixture of two sets."""
@@ -204,7 +206,7 @@ class CaptureFolder:
         taken = []
         for where, (image, *columns) in read_rows(self.presses, HEADER, "presses", more=MORE):
             if not (self.path / image).is_file():
-                raise ConfigError(f"{where}: image: found no file {image}, expected it beside the table")
+                raise ConfigError(f"{where}: image: found no file {image}, expected one in the table's folder")
             taken.append(TakenPress(image, Stated(_columns(columns))))
         return taken
 

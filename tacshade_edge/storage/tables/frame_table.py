@@ -121,7 +121,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     for where, columns in read:
         row = _row(where, columns)
         if row.t_ns <= last_ns:
-            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {last_ns} in the row before")
+            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than the previous row's {last_ns}")
         rows.append(row)
         last_ns = row.t_ns
     if not rows:
@@ -140,13 +140,13 @@ def _row(where: str, columns: list[str]) -> Row:
     empty = [text == "" for text in pose]
     if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
         expected = (
-            "nothing, because there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+            "nothing, because the row has no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
         )
         raise ConfigError(f"{where}: {ERROR_COLUMN}: found {quoted(error)}, expected {expected}")
     if all(empty):
         return Row(name, int(time), None)
     if any(empty):
-        raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7, expected all or none")
+        raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7 values, expected all or none")
     values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
     if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
         raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")

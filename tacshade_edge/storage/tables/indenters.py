@@ -43,7 +43,7 @@ def write_printables(folder: Path) -> list[Path]:
     table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
     for path in (table, plan):
         if path.exists():
-            raise ConfigError(f"{path}: already exists, expected no such file: this command does not replace it")
+            raise ConfigError(f"{path}: already exists; this command does not replace existing files")
     written = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,6 +81,6 @@ def _mesh(path: Path, name: str, where: str) -> Indenter:
         raise ConfigError(f"{where}: {name}.file: {error}") from None
     size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
     if not _LEAST_MM <= size_mm <= _MOST_MM:
-        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm: an STL file states no unit, so mm are assumed"
+        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm, because lengths in an STL file are taken as mm"
         raise ConfigError(f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g}, {expected}")
     return shapes.mesh(name, triangles_mm)

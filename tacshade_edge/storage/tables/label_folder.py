@@ -45,7 +45,9 @@ class LabelFolder:
             return []
         labelled = read_labels(self.table, self._path)
         if missing := next((one for one in labelled if not one.path.is_file()), None):
-            raise ConfigError(f"{missing.where}: image: found no file {missing.path}, expected it beside the table")
+            raise ConfigError(
+                f"{missing.where}: image: found no file {missing.path}, expected one in the table's folder"
+            )
         return [LabelRow(str(one.path.relative_to(self._path)), one.known, one.group) for one in labelled]
 
     def add_image(self, image: U8) -> str:

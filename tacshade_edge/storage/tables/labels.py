@@ -53,7 +53,7 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
     labelled = []
     for where, cells in table.rows:
         if not (name := cells["image"].strip()):
-            raise ConfigError(f"{where}: image: found nothing, expected a file in {folder}")
+            raise ConfigError(f"{where}: image: found nothing, expected the name of a file in {folder}")
         texts = {column: cells.get(column, "").strip() for column in QUANTITIES}
         if table.decimal_comma:
             texts = {column: text.replace(",", ".") for column, text in texts.items()}

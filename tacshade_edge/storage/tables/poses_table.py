@@ -53,5 +53,5 @@ def _posed(path: Path, where: str, row: list[str]) -> PosedImage:
     if abs(norm - 1) > _UNIT:
         raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
     if not row[0]:
-        raise ConfigError(f"{where}: image: found nothing, expected a file")
+        raise ConfigError(f"{where}: image: found nothing, expected a file name")
     return PosedImage(where, path.parent / row[0], from_seven(values))

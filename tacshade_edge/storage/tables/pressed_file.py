@@ -56,5 +56,7 @@ def _press(where: str, row: list[str]) -> Press:
     elif indenter in OBJECTS and not radius_text:
         shape = OBJECTS[indenter]()
     else:
-        raise ConfigError(f"{where}: indenter: found {quoted(indenter)}, expected ball, or a name without a radius_mm")
+        raise ConfigError(
+            f"{where}: indenter: found {quoted(indenter)}, expected ball, or another object without a radius_mm"
+        )
     return Press(shape, x_mm, y_mm, depth_mm, rotation_deg=yaw_deg)

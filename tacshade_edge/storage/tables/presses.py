@@ -75,16 +75,20 @@ def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str,
 def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
     name = row["indenter"]
     if name != BALL and name not in indenters:
-        others = f" or one of INDENTERS.yaml: {', '.join(indenters)}" if indenters else " (others need --indenters)"
+        others = (
+            f" or an indenter from INDENTERS.yaml: {', '.join(indenters)}"
+            if indenters
+            else " (other indenters need --indenters)"
+        )
         raise ConfigError(f"{where}: indenter: found {quoted(name)}, expected ball{others}")
     indenter = None if name == BALL else indenters[name]
     if indenter is not None and row["radius_mm"].strip():
         raise ConfigError(
-            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected no radius: INDENTERS.yaml states it"
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected none, as INDENTERS.yaml states the radius"
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):
-        raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
+        raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
     if isinstance(indenter, Indenter) and not place[0]:
         raise ConfigError(
             f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"

@@ -173,10 +173,14 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
     header = [name.strip() for name in lines[0][1]] if lines else []
     if missing := [name for name in required if name not in header]:
         found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
-        raise ConfigError(f"{path}:1: found {found}, expected {','.join(required)}: missing {', '.join(missing)}")
+        raise ConfigError(
+            f"{path}:1: found {found}, expected {','.join(required)}; the header lacks {', '.join(missing)}"
+        )
     line0, known = lines[0][0], (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
-        raise ConfigError(f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} such columns, expected one")
+        raise ConfigError(
+            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns of this name, expected one"
+        )
     for line, row in lines[1:]:
         if len(row) != len(header):
             raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(header)}")
@@ -242,7 +246,7 @@ def _lines(path: Path, text: Iterable[str], delimiter: str, rows_max: int) -> It
                 continue
             if rows > rows_max:  # the header is one more
                 raise ConfigError(
-                    f"{path}:{reader.line_num}: found more than {rows_max} rows, expected at most that many"
+                    f"{path}:{reader.line_num}: found more than {rows_max} rows, expected at most {rows_max}"
                 )
             rows += 1
             yield reader.line_num, row

@@ -32,10 +32,10 @@ _DAMAGE = (KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError,
 def images_in(folder: Path) -> list[Path]:
     """The images in a folder, by name. Raises ConfigError if it is not a folder or holds no image."""
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: found no folder, expected one with images and their truth (.npz)")
+        raise ConfigError(f"{folder}: found no folder, expected a folder with images and their ground truth (.npz)")
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not found:
-        raise ConfigError(f"{folder}: found no image, expected at least one with its truth (.npz) beside it")
+        raise ConfigError(f"{folder}: found no image, expected at least one image with its ground truth (.npz)")
     return found
 
 
@@ -76,7 +76,9 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
     if "points_mm" in content:
         points = _array(path, content, "points_mm", 2)
         if points.shape[1] != 3 or not np.isfinite(points).all():
-            raise DecodeError(f"{path}: points_mm: found shape {points.shape}, expected finite numbers (N, 3)")
+            raise DecodeError(
+                f"{path}: points_mm: found numbers of shape {points.shape}, expected finite numbers of shape (N, 3)"
+            )
     elif height is not None and contact is not None:
         if not np.isfinite(height[contact]).all():
             raise DecodeError(f"{path}: height_mm: found NaN inside the contact, expected a height in mm")
@@ -99,11 +101,11 @@ def _content(path: Path) -> dict[str, Any]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as npz:
             return {key: npz[key] for key in npz.files}
     except FileNotFoundError:
-        raise DecodeError(f"{path}: found no such file, expected the image's truth: {EXPECTED}") from None
+        raise DecodeError(f"{path}: found no such file, expected the image's ground truth: {EXPECTED}") from None
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or 'not an .npz file'}, expected {EXPECTED}") from None
     except (*_DAMAGE, AttributeError, tokenize.TokenError):  # AttributeError: a .npy is not an archive
-        raise DecodeError(f"{path}: not an .npz file, or damaged; expected {EXPECTED}") from None
+        raise DecodeError(f"{path}: the file is damaged or not an .npz file; expected {EXPECTED}") from None
 
 
 def _array(path: Path, content: dict[str, Any], key: str, dimensions: int) -> Any:
@@ -139,8 +141,8 @@ def _check_covers(
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
             raise DecodeError(
-                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected them to cover the image's "
-                f"{image_size_px[1]}x{image_size_px[0]} px"
+                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected cells that cover the "
+                f"image's {image_size_px[1]}x{image_size_px[0]} px"
             )
 
 

@@ -123,10 +123,14 @@ def read_known(path: Path) -> KnownSurface:
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
     except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{path}: not a known surface: {error}; expected z_mm, x0_mm, y0_mm, step_mm") from None
+        raise ConfigError(
+            f"{path}: the file is not a known surface: {error}; expected z_mm, x0_mm, y0_mm, step_mm"
+        ) from None
     if raster.z_mm.ndim != 2 or not raster.step_mm > 0 or not np.isfinite(raster.z_mm).any():
         found = f"z_mm of shape {raster.z_mm.shape} at steps of {raster.step_mm:g} mm"
-        raise ConfigError(f"{path}: found {found}, expected a map with finite heights")
+        raise ConfigError(
+            f"{path}: found {found}, expected a two-dimensional z_mm with finite heights and a step above 0"
+        )
     return known
 
 
@@ -142,7 +146,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
     if not both.any():
-        raise ConfigError("the known surface and the map share no cell: are the poses in the surface's frame?")
+        raise ConfigError("the known surface and the map share no cell; are the poses in the surface's frame?")
     error = found.z_mm[both].astype(np.float64) - true[both]
     low, high = float(np.nanmin(known.raster.z_mm)), float(np.nanmax(known.raster.z_mm))
     half = (low + high) / 2

@@ -164,7 +164,7 @@ def test_named_indenters(words: list[str], tmp_path: Path, capsys: pytest.Captur
     assert fit.profiles["accurate"].presses == 12
     assert main(command) == 78
     line = one_line(capsys.readouterr().err)
-    assert line.endswith("PRESSES.csv:3: indenter: found 'flat', expected ball (others need --indenters)\n")
+    assert line.endswith("PRESSES.csv:3: indenter: found 'flat', expected ball (other indenters need --indenters)\n")
 
 
 def pillar(radius_mm: float) -> Shape:

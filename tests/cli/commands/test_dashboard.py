@@ -47,7 +47,8 @@ def test_a_port_in_use_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     out, errors = capsys.readouterr()
     assert out == ""
     assert errors == (
-        f"tacshade-edge: port {port} of 127.0.0.1: Address already in use, expected a free port of this machine\n"
+        f"tacshade-edge: cannot listen on port {port} of 127.0.0.1: Address already in use; "
+        "expected a free port of this machine\n"
     )
 
 

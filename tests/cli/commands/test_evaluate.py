@@ -111,7 +111,7 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     assert main(of_own(own)) == 1
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1
-    assert "alone.npz: found no such file, expected the image's truth" in printed.err
+    assert "alone.npz: found no such file, expected the image's ground truth" in printed.err
     assert "coin" in printed.out
     (own / "images" / "coin.npz").unlink()
     assert main(of_own(own)) == 78

@@ -56,7 +56,7 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     caplog.set_level(logging.INFO)
     daemon = Daemon(calibration)
     assert (daemon.profile, daemon.active.choice) == (BEST, AUTO)
-    assert f"profile auto: starting with {BEST} for a budget of 10000 ms; measured here: {BEST} " in caplog.text
+    assert f"profile auto: starting with {BEST} for a budget of 10000 ms; measured costs: {BEST} " in caplog.text
     assert daemon.active.health() == {
         "latency_budget_ms": BUDGET_MS,
         "profile": BEST,

@@ -37,13 +37,13 @@ def test_exactly_the_next_frames_are_taken_once(calibration: Calibration, pictur
         (
             "touched",
             ReasonCode.FRAME_IN_CONTACT,
-            "frame 4 shows contact {depth_mm:.2f} mm deep, expected an untouched sensor",
+            "frame 4: found a contact {depth_mm:.2f} mm deep, expected no contact",
         ),
         (
             "black",
             ReasonCode.FRAME_INVALID,
-            "frame 4 is invalid (black: mean grey level 0, standard deviation 0.0), "
-            "expected a usable frame of an untouched sensor",
+            "frame 4: found an invalid frame (black: mean grey level 0, standard deviation 0.0), "
+            "expected a valid frame of an untouched sensor",
         ),
     ],
 )

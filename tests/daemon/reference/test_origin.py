@@ -64,7 +64,7 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert restored(newer, path).reason is None
     (warning,) = caplog.records
     assert warning.getMessage().endswith(
-        "belongs to another calibration; take a new one; using the calibration's own reference"
+        "belongs to another calibration; take a new reference; using the calibration's own reference"
     )
     assert not path.exists()
 

@@ -118,9 +118,11 @@ def test_each_frame_in_contact_and_one_at_the_end_until_off(bench: Bench, binary
 
 def test_what_is_refused(bench: Bench) -> None:
     assert bench.ask("TOUCH") == f"ERR 1 ARGS expected {bench.ask('HELP TOUCH').removeprefix('OK 2 ')}"
-    assert bench.ask("TOUCH ON depth_mm 0") == "ERR 3 ARGS found the RATE 0, expected whole Hz from 1 to 1000"
+    assert (
+        bench.ask("TOUCH ON depth_mm 0") == "ERR 3 ARGS found the RATE 0, expected a whole number of Hz from 1 to 1000"
+    )
     assert bench.ask("TOUCH ON depth_mm 500") == (
-        "ERR 4 REFUSED found 500 events a second of up to 69 bytes, expected at most 10368 bytes/s, 90 % of "
+        "ERR 4 REFUSED found 34500 bytes/s (500 events/s of up to 69 bytes), expected at most 10368 bytes/s, 90 % of "
         "115200 baud: use a RATE of at most 150, fewer names or a faster line"
     )
     assert not bench.robot.need()

@@ -108,7 +108,7 @@ def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pyt
     daemon.show(ball, pose=False)
     daemon.show(ball, pose=False)
     wait_until(lambda: daemon.status()["missed"] == 1, 20, "missed")
-    assert daemon.status()["reason"].endswith("the robot's pose is unknown at its time")
+    assert daemon.status()["reason"].endswith("the robot's pose at the frame's time is unknown")
     daemon.show(step("fast", unloaded()))
     daemon.show(ball)
     daemon.show(ball)

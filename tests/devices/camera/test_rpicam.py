@@ -101,9 +101,13 @@ def test_first_frames_of_another_exposure_are_passed_over(stand_in: Callable[...
 @pytest.mark.parametrize(
     ("does", "code", "said"),
     [
-        ({"says": "ERROR: *** no cameras available ***"}, ReasonCode.ABSENT, "exited with 255: 'no cameras available'"),
+        (
+            {"says": "ERROR: *** no cameras available ***"},
+            ReasonCode.ABSENT,
+            "exited with status 255: 'no cameras available'",
+        ),
         ({"says": "ERROR: *** failed to acquire camera /base/x ***"}, ReasonCode.IN_USE, "failed to acquire"),
-        ({"count": 1, "exposure": 2}, ReasonCode.LOST, "the program exited with 0: 'no output'"),
+        ({"count": 1, "exposure": 2}, ReasonCode.LOST, "the program exited with status 0: 'no output'"),
     ],
 )
 def test_a_program_that_ends_is_quoted(
@@ -119,10 +123,10 @@ def test_a_program_that_ends_is_quoted(
     ("does", "said"),
     [
         ({"exposure": 0.5}, "requested an exposure of 4000 us and a gain of 2, but got 2000 us and 2"),
-        ({"extra_bytes": 512}, "found frames of the wrong size, expected 4608 bytes, 64x48 YUV"),
-        ({"extra_bytes": -512}, "found frames of the wrong size, expected 4608 bytes, 64x48 YUV"),
+        ({"extra_bytes": 512}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
+        ({"extra_bytes": -512}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
         # Nine of its frames are eight of ours, read before it tells of the ninth.
-        ({"extra_bytes": -512, "behind": 9}, "found frames of the wrong size, expected 4608 bytes, 64x48 YUV"),
+        ({"extra_bytes": -512, "behind": 9}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
     ],
 )
 def test_what_a_camera_does_not_offer_is_a_mistake_until_it_once_worked(

@@ -70,7 +70,7 @@ def asks_kernel() -> bool:
 
 @pytest.mark.skipif(not asks_kernel(), reason="QEMU's emulation of a user space passes no video request on")
 def test_another_device() -> None:
-    assert why_not("/dev/null", ConfigError) == f"camera /dev/null: not a video device, {EXPECTED}"
+    assert why_not("/dev/null", ConfigError) == f"camera /dev/null: found another kind of device, {EXPECTED}"
 
 
 def test_a_dangling_link(tmp_path: Path) -> None:

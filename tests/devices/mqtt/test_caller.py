@@ -46,7 +46,7 @@ def test_its_own_reply_is_found_among_others(tmp_path: Path) -> None:
         with pytest.raises(DeviceError, match="found none"):
             asking.ask({"action": "stop"}, 10)
         thread.join()
-        with pytest.raises(DeviceError, match="no answer from sensor left within 0 s, expected a running daemon"):
+        with pytest.raises(DeviceError, match="no answer from sensor left within 0 s; expected a running daemon"):
             asking.ask({"action": "stop"}, 0.2)
         asking.stop()
 
@@ -58,7 +58,7 @@ def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) ->
     with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker:
         asking = caller(broker.port)
         asking.start()
-        with pytest.raises(DeviceError, match="rejects tacshade/left/req/record: Not authorized, expected") as no:
+        with pytest.raises(DeviceError, match="rejects tacshade/left/req/record: Not authorized; expected") as no:
             asking.ask({"action": "stop"}, 600)
         assert no.value.code is ReasonCode.REFUSED
         asking.stop()

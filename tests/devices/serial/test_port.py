@@ -77,8 +77,8 @@ def test_a_pulled_cable(line: tuple[int, str]) -> None:
     ("device", "error", "why"),
     [
         ("/dev/no-such-port", DeviceError, "no such device"),
-        ("/etc/hostname", ConfigError, "found no character device, expected a serial port"),
-        ("foo://x", ConfigError, "invalid URL, protocol 'foo' not known, expected a device or a pyserial URL"),
+        ("/etc/hostname", ConfigError, "found another kind of file, expected a serial port's character device"),
+        ("foo://x", ConfigError, "invalid URL, protocol 'foo' not known; expected a device or a pyserial URL"),
         ("socket://127.0.0.1:9", DeviceError, "refused"),
     ],
 )
@@ -96,7 +96,7 @@ def test_a_file_that_someone_wrote_while_the_port_was_away_is_waited_for(line: t
     port.close()
     place.unlink()
     place.write_text("echo hello > /dev/ttyACM0")
-    with pytest.raises(DeviceError, match="found no character device"):
+    with pytest.raises(DeviceError, match="found another kind of file"):
         port.open()
 
 
@@ -104,7 +104,7 @@ def test_only_what_is_there_and_is_no_device_is_hopeless() -> None:
     check_kind("/dev/no-such-port")
     check_kind("/dev/null")
     check_kind("socket://robot:7000")
-    for device, why in (("/dev", "found no character device"), ("foo://x", "protocol 'foo' not known")):
+    for device, why in (("/dev", "found another kind of file"), ("foo://x", "protocol 'foo' not known")):
         with pytest.raises(ConfigError, match=why):
             check_kind(device)
 

@@ -47,7 +47,9 @@ def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
     longest = "HELP " + "x" * (LINE_BYTES_MAX - 1 - 5 - 5)
     assert len(seal(longest)) == LINE_BYTES_MAX
     assert isinstance(parse_line(seal(longest)[:-1]), Line)
-    too_long = Reason(ReasonCode.NOT_A_LINE, "expected at most 255 printable ASCII characters")
+    too_long = Reason(
+        ReasonCode.NOT_A_LINE, "found other or too many bytes, expected at most 255 printable ASCII characters"
+    )
     assert parse_line(seal(longest + "x")[:-1]) == too_long
 
 
@@ -85,9 +87,9 @@ def test_poses_come_back(seq: int, t_ns: int, xyz: tuple[float, ...], q: tuple[f
     ("args", "why"),
     [
         ("1 2 3 4 1 0 0", "found 7 values"),
-        ("1.5 0 0 0 1 0 0 0", "'1.5', expected whole nanoseconds"),
-        ("-1 0 0 0 1 0 0 0", "'-1', expected whole nanoseconds"),
-        ("9223372036854775808 0 0 0 1 0 0 0", "expected whole nanoseconds"),
+        ("1.5 0 0 0 1 0 0 0", "'1.5', expected a whole number of nanoseconds"),
+        ("-1 0 0 0 1 0 0 0", "'-1', expected a whole number of nanoseconds"),
+        ("9223372036854775808 0 0 0 1 0 0 0", "expected a whole number of nanoseconds"),
         ("1 nan 0 0 1 0 0 0", "'nan', expected a number"),
         ("1 0 1_0 0 1 0 0 0", "'1_0', expected a number"),
         ("1 0 1e9 0 1 0 0 0", "expected a position within"),

@@ -96,7 +96,7 @@ def test_a_person_types() -> None:
         ("#9 STITCH", "ERR 9 ARGS expected STITCH BEGIN|ADD|END|ABORT|STATUS [NAME]"),
         ("#9 STITCH START", "ERR 9 ARGS expected STITCH BEGIN"),
         ("#9 SYNC", "ERR 9 ARGS expected SYNC t1 [t4]"),
-        ("#9 SYNC 1.5", "ERR 9 ARGS found '1.5', expected whole nanoseconds"),
+        ("#9 SYNC 1.5", "ERR 9 ARGS found '1.5', expected a whole number of nanoseconds"),
         ("#9 MODE HEX", "ERR 9 ARGS expected MODE BIN|ASCII"),
         ("#9 HELLO 2", "ERR 9 VERSION found 2, expected 1"),
         ("#9 HELLO", "ERR 9 VERSION found none, expected 1"),
@@ -136,7 +136,7 @@ def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
         assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
-    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found the number of another line, expected a new one"]
+    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found the number of another line, expected a new number"]
     assert desk.link.counts.repeats == 2
 
 
@@ -157,7 +157,7 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     newest = 100 + 2 * REPLIES_KEPT - 1
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
-        f"ERR {newest - REPLIES_KEPT} STALE found a used line number, expected HELLO or one above #{newest}"
+        f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected HELLO or a number above #{newest}"
     ]
     assert len(desk.done) == 2 * REPLIES_KEPT
 

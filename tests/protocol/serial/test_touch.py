@@ -81,15 +81,15 @@ def test_asked(args: str, asked: TouchAsked | None) -> None:
         ("", "found '', expected ON or OFF"),
         ("OFF depth_mm", "found 'OFF depth_mm', expected ON or OFF"),
         ("depth_mm", "found 'depth_mm', expected ON or OFF"),
-        ("ON", "found 0 names, expected 1 to 6, each once"),
-        ("ON 30", "found 0 names, expected 1 to 6, each once"),
-        (f"ON {' '.join(QUANTITIES[:7])}", "found 7 names, expected 1 to 6, each once"),
-        ("ON depth_mm depth_mm", "found 2 names, expected 1 to 6, each once"),
+        ("ON", "found 0 names, expected 1 to 6 different names"),
+        ("ON 30", "found 0 names, expected 1 to 6 different names"),
+        (f"ON {' '.join(QUANTITIES[:7])}", "found 7 names, expected 1 to 6 different names"),
+        ("ON depth_mm depth_mm", "found 2 names, expected 1 to 6 different names"),
         ("ON Depth_mm", "found 'Depth_mm', expected one of depth_mm tilt_x_deg"),
         ("ON 30 depth_mm", "found '30', expected one of depth_mm"),
-        ("ON depth_mm 0", "found the RATE 0, expected whole Hz from 1 to 1000"),
-        ("ON depth_mm 1001", "found the RATE 1001, expected whole Hz from 1 to 1000"),
-        ("ON depth_mm 29.97", "found the RATE 29.97, expected whole Hz from 1 to 1000"),
+        ("ON depth_mm 0", "found the RATE 0, expected a whole number of Hz from 1 to 1000"),
+        ("ON depth_mm 1001", "found the RATE 1001, expected a whole number of Hz from 1 to 1000"),
+        ("ON depth_mm 29.97", "found the RATE 29.97, expected a whole number of Hz from 1 to 1000"),
         ("ON depth_mm -5", "found '-5', expected one of"),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     refused = too_slow(TouchAsked(LONGEST, 60), 9600)
     assert refused is not None
     assert refused.text == (
-        "found 60 events a second of up to 174 bytes, expected at most 864 bytes/s, 90 % of 9600 baud: "
+        "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s, 90 % of 9600 baud: "
         "use a RATE of at most 4, fewer names or a faster line"
     )
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None

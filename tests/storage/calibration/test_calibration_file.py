@@ -157,7 +157,7 @@ def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     calibration_file.save(tmp_path / "new.npz", painted_calibration())
     monkeypatch.undo()
     with pytest.raises(
-        ConfigError, match=rf"new\.npz: found calibration version {now + 1}, expected {now}: calibrate again"
+        ConfigError, match=rf"new\.npz: found calibration version {now + 1}, expected {now}; calibrate again"
     ):
         calibration_file.load(tmp_path / "new.npz")
 
@@ -177,7 +177,7 @@ def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     assert (loaded.geometry, loaded.crc32 != 0) == (fitted.geometry, True)
     np.testing.assert_array_equal(loaded.reference_white, fitted.reference_white)
     (said,) = caplog.messages
-    assert said.endswith("old.npz: its fit belongs to older networks; using it without the fit; calibrate again")
+    assert said.endswith("old.npz: ignoring the calibration's fit, which belongs to older networks; calibrate again")
     caplog.clear()
     assert calibration_file.load(tmp_path / "unfitted.npz").factors == {}
     assert not caplog.messages

@@ -43,10 +43,13 @@ def test_both_kinds(tmp_path: Path) -> None:
         (binary(TWO, b"cut")[:-1], "found 183 bytes that are neither an ASCII nor a binary STL file"),
         (binary(TWO[:0]), "found 0 triangles, expected 1 to 200000"),
         (b"solid\nendsolid\n", "found 0 triangles"),
-        (ascii_text(TWO).replace("vertex 1", "vertex one", 1).encode(), ":5: found 'vertex one.*expected vertex x y z"),
+        (
+            ascii_text(TWO).replace("vertex 1", "vertex one", 1).encode(),
+            ":5: found 'vertex one.*expected a line of the form vertex x y z",
+        ),
         (ascii_text(TWO).replace("  vertex 0.0", " corner 0", 1).encode(), ":8: found a facet of 2 corners"),
-        (ascii_text(TWO)[:60].encode(), "found the end of the file within a facet|expected vertex"),
-        (binary(np.full_like(TWO, np.inf)), "a corner that is not finite"),
+        (ascii_text(TWO)[:60].encode(), "found the end of the file within a facet|expected a line"),
+        (binary(np.full_like(TWO, np.inf)), "a corner with numbers that are not finite"),
     ],
 )
 def test_what_is_none(tmp_path: Path, data: bytes, said: str) -> None:

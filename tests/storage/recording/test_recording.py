@@ -87,9 +87,9 @@ def test_a_video_with_and_without_a_table(video: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("0,5,,,,,,,\n1,6,,,,,,,\n", "found 2 rows, expected one row per frame of the video"),
-        ("0,5,,,,,,,\n2,6,,,,,,,\n", "found frame '2' in row 2, expected one row per frame"),
-        ("".join(f"{k},{k},,,,,,,\n" for k in range(4)), "found 4 rows, expected 3, one per frame of the video"),
+        ("0,5,,,,,,,\n1,6,,,,,,,\n", "found 2 rows, expected one row per video frame"),
+        ("0,5,,,,,,,\n2,6,,,,,,,\n", "found frame '2' in row 2, expected one row per video frame"),
+        ("".join(f"{k},{k},,,,,,,\n" for k in range(4)), "found 4 rows, expected 3 rows, one per video frame"),
     ],
 )
 def test_a_table_that_is_not_the_videos(video: Path, rows: str, said: str) -> None:
@@ -118,5 +118,7 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
         Recording(tmp_path / "empty")
     with pytest.raises(ConfigError, match="found no video that OpenCV can read"):
         Recording(folder / "frames.csv")
-    with pytest.raises(ConfigError, match=r"^--fps: found 20, expected none: .*frames\.csv has the time stamps"):
+    with pytest.raises(
+        ConfigError, match=r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps"
+    ):
         Recording(folder, fps=20)

@@ -225,7 +225,7 @@ def test_a_flipped_bit_in_the_description_is_told(tmp_path: Path) -> None:
     path = tmp_path / "one" / SESSION
     assert read_info(tmp_path / "one") == info()
     path.write_text(path.read_text().replace("77", "76"))
-    with pytest.raises(DecodeError, match="damaged: its checksum is"):
+    with pytest.raises(DecodeError, match="the file is damaged: found checksum"):
         read_info(tmp_path / "one")
 
 

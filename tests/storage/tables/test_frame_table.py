@@ -22,8 +22,8 @@ from tacshade_edge.types import Pose
         ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
         ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
         (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
-        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 in the row before"),
-        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7, expected all or none"),
+        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than the previous row's 5"),
+        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7 values, expected all or none"),
         ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
         ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected 1"),
     ],
@@ -54,7 +54,7 @@ def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: P
         ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
         ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
         (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
-        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, because there is no pose"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, because the row has no pose"),
     ],
 )
 def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:

@@ -56,7 +56,10 @@ def test_every_shape(tmp_path: Path) -> None:
         ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected a value for shape mesh"),
         ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
         ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
-        ("ball: {shape: ball, radius_mm: 3}\n", ":1: ball: found an entry, expected none: this name is built in"),
+        (
+            "ball: {shape: ball, radius_mm: 3}\n",
+            ":1: ball: found an entry, expected none, because this name is built in",
+        ),
         ("a: {shape: mesh, file: none.stl}\n", r":1: a.file: .*none.stl: No such file"),
         ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* neither an ASCII nor a binary STL file"),
     ],
@@ -81,5 +84,5 @@ def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -
     assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
     assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
-    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists, expected no such file"):
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists; this command does not replace"):
         write_printables(tmp_path / "print")

@@ -36,7 +36,7 @@ def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> No
         (HEADER, "found no image, expected one row per image"),
         (HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
         (HEADER + "a.png,nan,,,,\n", r"labels.csv:2: depth_mm: found 'nan', expected a number"),
-        (HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected a file in "),
+        (HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),
         (HEADER + "a.png,1\n", r"labels.csv:2: found 2 columns, expected 6"),
     ],
 )

@@ -63,11 +63,13 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     assert (solid.yaw_deg, solid.tilt_x_deg, solid.tilt_y_deg) == (30.0, -4.0, 5.5)
     assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
     for row, said in {
-        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected no radius: INDENTERS.yaml states it",
+        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected none, as INDENTERS.yaml states the radius",
         "a.png,flat,,2,,,0,0,0,0,0": (
             "x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         ),
-        "a.png,cube,,2,0,0,0,0,0,0,0": "indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small",
+        "a.png,cube,,2,0,0,0,0,0,0,0": (
+            "indenter: found 'cube', expected ball or an indenter from INDENTERS.yaml: flat, small"
+        ),
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
         "a.png,flat,,2,0,0,x,0,0,0,0": "yaw_deg: found 'x', expected a number",
         "a.png,flat,,2,0,0,0,0,0,nan,0": "shear_x_mm: found 'nan', expected a number",
@@ -86,8 +88,8 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
     [
         ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
-        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: missing y_mm"),
-        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 such columns, expected one"),
+        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*; the header lacks y_mm"),
+        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns of this name, expected one"),
         (HEADER + "a.png,ball,4.5,2\n", ":2: found 4 columns, expected 6"),
         (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
         (HEADER + "a.png,cube,4.5,2,,\n", ":2: indenter: found 'cube', expected ball"),
@@ -95,7 +97,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
         (HEADER + "a.png,ball,4.5,,,\n", ":2: depth_mm: found '', expected a number"),
         (HEADER + "a.png,ball,4.5,nan,,\n", ":2: depth_mm: found 'nan', expected a number"),
         (HEADER + "a.png,ball,4.5,inf,,\n", ":2: depth_mm: found 'inf', expected a number"),
-        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found only one of them, expected both or neither"),
+        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found only one value, expected both or neither"),
         (HEADER + "none.png,ball,4.5,2,,\n", r":2: image: .*none\.png: No such file"),
         (HEADER + "PRESSES.csv,ball,4.5,2,,\n", ":2: image: .*not an image"),
         (HEADER + ",ball,4.5,2,,\n", ":2: image: "),

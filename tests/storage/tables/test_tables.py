@@ -55,7 +55,7 @@ def test_a_table_has_a_most_of_rows(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("a,b\n" + "1,2\n" * 4)
     assert len(read_rows(path, ("a", "b"), "numbers", rows_max=4)) == 4
-    with pytest.raises(ConfigError, match=r"t\.csv:5: found more than 3 rows, expected at most that many"):
+    with pytest.raises(ConfigError, match=r"t\.csv:5: found more than 3 rows, expected at most 3"):
         read_rows(path, ("a", "b"), "numbers", rows_max=3)
 
 

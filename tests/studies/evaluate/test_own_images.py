@@ -113,12 +113,15 @@ def test_a_truth_on_a_grid_of_its_own(tmp_path: Path) -> None:
         ({}, "found the keys none; expected"),
         (
             truth(contact=np.zeros((30, 40), bool)),
-            "contact: found 40x30 cells of 1 px, expected them to cover the image's",
+            "contact: found 40x30 cells of 1 px, expected cells that cover the image's",
         ),
-        (truth(row0=50.0), "expected them to cover the image's 160x120 px"),
+        (truth(row0=50.0), "expected cells that cover the image's 160x120 px"),
         (truth(height_mm=np.full(SIZE, np.nan)), "height_mm: found NaN inside the contact"),
-        (truth(points_mm=np.zeros((4, 2))), "points_mm: found shape (4, 2), expected finite numbers (N, 3)"),
-        (truth(points_mm=np.full((4, 3), np.nan)), "expected finite numbers (N, 3)"),
+        (
+            truth(points_mm=np.zeros((4, 2))),
+            "points_mm: found numbers of shape (4, 2), expected finite numbers of shape (N, 3)",
+        ),
+        (truth(points_mm=np.full((4, 3), np.nan)), "expected finite numbers of shape (N, 3)"),
         (truth(points_mm=np.array(["a"])), "points_mm: found <U1 of shape (1,), expected numbers"),
         (truth(height_mm=np.zeros((2, 120, 160))), "height_mm: found float64 of shape (2, 120, 160)"),
         (truth(step_px=0.0), "step_px: found 0.0, expected a number above 0"),
@@ -166,7 +169,7 @@ def test_what_cannot_be_scored_is_told_and_the_others_go_on(tmp_path: Path) -> N
     rows, lines = scored(tmp_path)
     assert [row.image for row in rows] == ["a.png"]
     assert [line.removeprefix(f"{tmp_path}/") for line in lines] == [
-        "alone.npz: found no such file, expected the image's truth: points_mm, or height_mm and contact",
+        "alone.npz: found no such file, expected the image's ground truth: points_mm, or height_mm and contact",
         "large.png: found 320x240 px, expected 160x120 px, the size of the calibration's images",
         "text.png: found 8 bytes that are not an image, expected a whole image",
     ]

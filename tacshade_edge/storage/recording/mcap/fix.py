@@ -36,7 +36,9 @@ def fix_recordings(folder: Path) -> list[Path]:
         return [path for path in found if path is not None]
     except OSError as error:
         where = error.filename or folder
-        raise DeviceError(f"{where}: cannot repair it: {error.strerror or error}", code=ReasonCode.DISK) from None
+        raise DeviceError(
+            f"{where}: cannot repair the recording: {error.strerror or error}", code=ReasonCode.DISK
+        ) from None
 
 
 def fix(path: Path) -> Path | None:

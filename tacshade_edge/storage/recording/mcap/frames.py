@@ -83,7 +83,7 @@ class McapFrames:
         self._unusable = 0
         for count, found in enumerate(self._messages()):
             if self._unusable > _UNUSABLE_MAX:
-                unusable = f"found {self._unusable} unusable messages; skipping everything after them"
+                unusable = f"found {self._unusable} unusable messages; skipping all later messages"
                 error = DecodeError(f"{shown(self.topic)}: {unusable}")
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
                 return
@@ -154,12 +154,12 @@ class McapFrames:
                     yield path, schema.name if schema else "", channel.encoding, record, about
         if unknown:
             found = f"{unknown} messages on channels that the file does not describe"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping them"))
+            yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping these messages"))
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages on {shown(self.topic)}, expected the {expected} that its index counts"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}; the others are lost"))
+            found = f"{images} messages on {shown(self.topic)}, expected the {expected} messages in the file's index"
+            yield Damage(DecodeError(f"{shown(path)}: found {found}; the missing messages are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
         """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
@@ -168,10 +168,12 @@ class McapFrames:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
-            raise DecodeError("found no message with this image's time, expected one before it on the channel `frame`")
+            raise DecodeError(
+                "found no message with this image's time, expected one before the image on the channel `frame`"
+            )
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
-            raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")
+            raise DecodeError(f"image: found {_short(name)}, expected a name of at most {_NAME_CHARS_MAX} characters")
         found = [about.get(key) for key in POSE_KEYS]
         if found == [None] * len(POSE_KEYS):
             return Row(name, t_ns, None)
@@ -200,7 +202,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     if len(topics) == 1:
         return topics.pop(), False
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
-    count = f"{len(topics)} image topics ({named})" if topics else "no image topic"
+    count = f"{len(topics)} image topics ({named})" if topics else "no image topics"
     expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
     raise ConfigError(f"{shown(paths[0])}: found {count}, expected one: {expected}{damage}")
 

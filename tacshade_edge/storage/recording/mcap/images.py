@@ -42,7 +42,7 @@ def _raw(image: PixelRows) -> U8:
     if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
         raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px per side")
     if step < cols * channels or len(image.data) < rows * step:
-        raise DecodeError(f"found {len(image.data)} bytes for {rows} rows of {step} bytes, expected whole rows")
+        raise DecodeError(f"found {len(image.data)} bytes, expected {rows} rows of {step} bytes")
     pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[:, : cols * channels]
     if channels == 1:
         return pixels.copy()

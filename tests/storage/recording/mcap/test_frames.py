@@ -91,7 +91,7 @@ def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
     recording = Recording(path, times=2)
     times = [recorded.frame.t_ns for _ in range(4) if (recorded := recording.read()) is not None]
     assert np.diff(times).tolist() == [PERIOD_NS] * 3
-    with pytest.raises(ConfigError, match="has the time stamps"):
+    with pytest.raises(ConfigError, match="contains the time stamps"):
         Recording(path, fps=30)
 
 
@@ -116,8 +116,11 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     frames, refused = every(path)
     assert 25 <= len(frames) < 40
     assert len(refused) == 2
-    assert "is damaged; skipping it" in refused[0]
-    assert f"found {len(frames)} messages on /tacshade/left/camera, expected the 40 that its index counts" in refused[1]
+    assert "is damaged and skipped" in refused[0]
+    assert (
+        f"found {len(frames)} messages on /tacshade/left/camera, expected the 40 messages in the file's index"
+        in refused[1]
+    )
 
 
 @pytest.mark.slow
@@ -184,7 +187,7 @@ def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
     assert len(refused) == 1
-    assert "expected one before it on the channel `frame`" in refused[0]
+    assert "expected one before the image on the channel `frame`" in refused[0]
 
 
 def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
@@ -267,7 +270,7 @@ def test_a_bag_of_ros_2(tmp_path: Path) -> None:
 
 def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
-    for topics, found in (([], "no image topic"), (["/a", "/b"], "2 image topics (/a, /b)")):
+    for topics, found in (([], "no image topics"), (["/a", "/b"], "2 image topics (/a, /b)")):
         with path.open("wb") as stream:
             writer = Writer(stream)
             writer.start()
@@ -292,7 +295,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     read, refused = every(_written(tmp_path, file_of(inside)))
     assert read == []
     assert len(refused) == 12
-    assert refused[-1] == "/cam: found 11 unusable messages; skipping everything after them"
+    assert refused[-1] == "/cam: found 11 unusable messages; skipping all later messages"
 
 
 @pytest.mark.parametrize(
@@ -301,7 +304,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (RawImage(width=64, height=48, encoding="32FC1", step=256, data=b"1234"), "the encoding '32FC1'"),
         (RawImage(width=64, height=48, encoding="mono8", step=64, data=b"1234"), "found 4 bytes"),
         (RawImage(width=1 << 30, height=1 << 30, encoding="mono8", step=1 << 30), "expected at most"),
-        (RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)), "expected whole rows"),
+        (RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)), "expected 48 rows of 3 bytes"),
     ],
 )
 def test_an_image_that_is_none_is_told(tmp_path: Path, message: RawImage, found: str) -> None:
