@@ -79,7 +79,7 @@ class SensorMetrics:
             fresh = {name: sensor.health for name, sensor in sensors if sensor.health and self._is_alive(sensor)}
         up = GaugeMetricFamily(
             "tacshade_up",
-            "1 while the daemon runs and publishes its health; absent once it has stopped",
+            "1 while the daemon is running and publishing its health; absent once it has stopped",
             labels=["sensor"],
         )
         state = GaugeMetricFamily("tacshade_state", "1 for the current state", labels=["sensor", "state"])

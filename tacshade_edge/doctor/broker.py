@@ -121,7 +121,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         return warning("daemon", found, "stop one of the two daemons, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop the other daemon, or give this sensor another sensor_id"
-        return warning("daemon", f"no daemon runs here, yet {sensor_id} is {daemon.state} on this broker", fix)
+        return warning("daemon", f"no daemon is running here, yet {sensor_id} is {daemon.state} on this broker", fix)
     if process is None:
         return ok("daemon", "not running")
     if daemon.state == "online":

@@ -24,7 +24,7 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
-    "while the daemon runs and nothing touches the skin, publish {} to tacshade/SENSOR/req/reference; if the "
+    "while the daemon is running and nothing is touching the skin, publish {} to tacshade/SENSOR/req/reference; if the "
     "problem returns, calibrate again (docs/how-to/calibration.md)"
 )
 _AGED = (
@@ -91,7 +91,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     if result.contact:
         found = (
             f"the skin seems to be pressed {result.depth_max_mm:.1f} mm deep; "
-            "if nothing touches the skin, the skin has changed"
+            "if nothing is touching the skin, the skin has changed"
         )
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:

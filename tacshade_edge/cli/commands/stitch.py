@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="write flange.json, with flange_T_sensor and the frame delay found from overlapping presses, and no map",
+        help="instead of a map, write flange.json: flange_T_sensor and the frame delay, found from overlapping presses",
     )
     parser.add_argument("--json", action="store_true", help="print map.json, or flange.json with --find-flange")
 
