@@ -26,5 +26,5 @@ def test_a_calibration_of_wrong_content_changes_nothing(tmp_path: Path) -> None:
     content, _ = checked_npz.read(str(calibration), "calibration", "")
     for name, value in (("polarity", "x"), ("flange_T_sensor", []), ("factors", {"fast": "1"})):
         calibration.write_bytes(Content({**content.meta, name: value}, content.arrays).packed())
-        with pytest.raises(ConfigError, match=rf"calibration\.npz: .*{name}.*: calibrate again"):
+        with pytest.raises(ConfigError, match=rf"calibration\.npz: .*{name}.*; calibrate again"):
             reload(running, calibrated=True)

@@ -54,7 +54,7 @@ def test_mosquitto_is_set_as_a_users_is(tmp_path: Path, monkeypatch: pytest.Monk
 def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(DeviceError, match=r"expected mosquitto or the demo extra: pip install '\.\[demo\]'"):
+    with pytest.raises(DeviceError, match=r"expected mosquitto or the `demo` extra's broker: pip install '\.\[demo\]'"):
         broker_command(tmp_path, 1883)
 
 

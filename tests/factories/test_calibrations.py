@@ -108,7 +108,7 @@ def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch
     stored(path, monkeypatch, None)
     assert calibrations.load(path).factors == {}
     stored(path, monkeypatch, None, 5)
-    with pytest.raises(ConfigError, match=r"calibration version 5, expected .*: calibrate again"):
+    with pytest.raises(ConfigError, match=r"calibration version 5, expected .*; calibrate again"):
         calibrations.load(path)
 
 

@@ -99,7 +99,7 @@ def test_every_sound_vector_is_understood(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "error" in v], ids=named)
 def test_every_damaged_vector_is_refused(vector: dict[str, Any]) -> None:
-    with pytest.raises(DecodeError, match=r"^objects: .*, expected the format in docs/reference/mqtt\.md$"):
+    with pytest.raises(DecodeError, match=r"^objects: .*; expected the format in docs/reference/mqtt\.md$"):
         decode_hand(vector["payload"].encode())
 
 

@@ -144,7 +144,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     try:
         return _from_content(name, content)
     except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
+        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
 
 
 def version_of(path: str | os.PathLike[str]) -> int | None:
@@ -182,7 +182,7 @@ def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
     try:
         return fitted_networks.unpack(content.meta.get("fitted", {}), content.arrays)
     except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
+        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
 
 
 def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
@@ -192,7 +192,7 @@ def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
     try:
         return touch_models.unpack(content.meta.get("touch", {}), content.arrays)
     except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
+        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
 
 
 def _from_content(name: str, content: Content) -> Calibration:

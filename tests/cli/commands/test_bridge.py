@@ -38,7 +38,7 @@ def test_an_address_in_use(kind: str, capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_password_needs_a_name_and_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(tmp_path / "password")
     assert main(["bridge", "prometheus", "--password-file", path]) == EXIT_CONFIG
-    assert "expected --username too" in capsys.readouterr().err
+    assert "--password-file: found no --username, expected both options" in capsys.readouterr().err
     assert main(["bridge", "prometheus", "--username", "dashboard", "--password-file", path]) == EXIT_CONFIG
     assert f"--password-file: {path}: No such file or directory" in capsys.readouterr().err
 
