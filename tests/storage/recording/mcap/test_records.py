@@ -65,7 +65,7 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
         times, told = read(tmp_path / "a.mcap", file_of(one + good))
         assert times == [5]
         assert len(told) == 1
-        assert "the chunk at byte 25 is damaged and skipped" in told[0]
+        assert "the chunk at byte 25 is damaged; skipping it" in told[0]
         assert told[0].isprintable()
 
 
