@@ -154,7 +154,7 @@ class _Sensor:
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found another type of message, expected a height map")
+            raise DecodeError("height: found a message of another type, expected a height map")
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
@@ -173,7 +173,7 @@ class _Sensor:
     def _cloud(self, payload: bytes) -> CloudMessage:
         message = wire.decode(payload)
         if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found another type of message, expected a point cloud")
+            raise DecodeError("cloud: found a message of another type, expected a point cloud")
         return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -256,7 +256,7 @@ class FoxgloveBridge:
         except OSError as error:
             reason = error.strerror or error
             raise ConfigError(
-                f"--listen {host}:{port}: {reason}, expected a free port at one of this machine's addresses"
+                f"--listen {host}:{port}: {reason}, expected a free port on one of this machine's addresses"
             ) from None
         self.port = self._viewers.port
 

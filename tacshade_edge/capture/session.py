@@ -194,7 +194,7 @@ class Session:
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
             found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
-            raise ConfigError(f"the picture moves or is too noisy: {found}")
+            raise ConfigError(f"the picture is moving or too noisy: {found}")
         self._circle = self._live.circle
         result = calibrate(replace(self._sensor, visible_circle=self._circle), images)
         for warning in result.warnings:

@@ -75,7 +75,7 @@ class Requests(FrameObserver):
         if request.verb == "status":
             self._reply(request, self._status())
         elif request.verb == "replay":  # only `replay --play` accepts it
-            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "this daemon plays no recording"))
+            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "this daemon is not playing a recording"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
         elif request.verb == "record":

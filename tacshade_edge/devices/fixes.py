@@ -72,7 +72,8 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
             install = "sudo apt install mosquitto"
             return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
         case ConnectionRefusedError():
-            return "is the broker running, and does mqtt.port accept other machines (mosquitto: `listener`)?"
+            listens = "does mqtt.port accept connections from other machines (mosquitto: `listener`)?"
+            return f"is the broker running, and {listens}"
         case TimeoutError():
             asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
             return f"{asked} Is mqtt.port the broker's TLS port?" if tls_ca else asked

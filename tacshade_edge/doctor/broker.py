@@ -117,7 +117,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Judge whether a daemon is running and whether it is this machine's."""
     if daemon.alive and daemon.rival:
-        found = f"two daemons use {sensor_id}: one runs {daemon.place}; the other waits {daemon.rival}"
+        found = f"two daemons use {sensor_id}: one is running {daemon.place}, and the other is waiting {daemon.rival}"
         return warning("daemon", found, "stop one of the two daemons, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop the other daemon, or give this sensor another sensor_id"
@@ -180,7 +180,7 @@ def _unreached(error: OSError, host: str, port: int) -> str:
         case ssl.SSLError():
             return f"{where}: does not answer over TLS ({error.reason or error})"
         case ConnectionRefusedError():
-            return f"{where}: connection refused: nothing listens there"
+            return f"{where}: connection refused: nothing is listening"
         case TimeoutError():
             return f"{where}: no answer within {_CONNECT_S:g} s"
     return f"{where}: {error.strerror or error}"

@@ -58,7 +58,8 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
         found = (
-            f"{found}; the networks of {', '.join(renew)} have changed since the fit; the shipped networks are in use"
+            f"{found}; the networks of {', '.join(renew)} have changed since the fit, "
+            "so the shipped networks are in use"
         )
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
@@ -113,9 +114,9 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     if found.still_part == 0:
         return ()
     size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
-    place = f"visible circle moved {found.shift_px:.1f} px and {size} since calibration"
+    place = f"the visible circle has moved {found.shift_px:.1f} px and {size} since calibration"
     if registration.shifted_too_far(found, calibration.geometry.disc):
-        fix = "the camera moved in the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
+        fix = "the camera has moved inside the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 

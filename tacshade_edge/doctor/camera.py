@@ -110,9 +110,8 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     if source.fourcc not in formats:
         usable = [code for code in _FOURCCS if code in formats]
         fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
-        return (
-            fault("camera format", f"the camera has no {source.fourcc}; it has {', '.join(formats) or 'none'}", fix),
-        )
+        found = f"the camera does not offer {source.fourcc}; it offers {', '.join(formats) or 'none'}"
+        return (fault("camera format", found, fix),)
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
         fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
@@ -234,7 +233,7 @@ def _check_locks(captured: Captured) -> list[Finding]:
         if lock == Lock.NO_CONTROL:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:
-            fix = f"changes in {label} look like touch; lock {label} (`v4l2-ctl -d DEVICE -L`), or use another camera"
+            fix = f"changes in {label} look like touches; lock {label} (`v4l2-ctl -d DEVICE -L`), or use another camera"
             findings.append(warning("camera control", found, fix))
         else:
             findings.append(ok("camera control", found))

@@ -24,7 +24,8 @@ def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]
     """Findings on what statvfs(2) reports."""
     if read_only:
         fix = (
-            "mount the file system writable; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
+            "remount the file system read-write; "
+            "if the kernel made it read-only, the card may be failing (see sudo dmesg)"
         )
         return (fault("disk", f"{folder} is on a read-only file system", fix),)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"

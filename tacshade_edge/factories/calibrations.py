@@ -89,7 +89,8 @@ def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibrat
         return calibration
     renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))
     _log.warning(
-        "%s: the networks have changed since %s was fitted, so the shipped networks run; run calibrate --fit again",
+        "%s: the networks have changed since %s was fitted, so the shipped networks are in use; "
+        "run calibrate --fit again",
         path,
         renew,
     )

@@ -109,7 +109,8 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
             raise ConfigError(f"{path}: {SETTINGS_NAME}: hand_T_sensor: {problem}")
         hands.add(settings.hand_id)
         if len(hands) > 1:
-            raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one hand")
+            named = ", ".join(sorted(hands))
+            raise ConfigError(f"{path}: found recordings of the hands {named}, expected recordings of one hand")
         if settings.sensor_id in fingers:
             raise ConfigError(
                 f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"

@@ -93,7 +93,8 @@ def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> Fi
     """
     if len(presses) < LEAST_PRESSES:
         raise ConfigError(
-            f"--fit: found {len(presses)} usable presses, expected at least {LEAST_PRESSES}, better {ENOUGH_PRESSES}"
+            f"--fit: found {len(presses)} usable presses, "
+            f"expected at least {LEAST_PRESSES} ({ENOUGH_PRESSES} give better results)"
         )
     train, judge = held_out(presses)
     runs = [_Run(calibration, name, train, judge) for name in ORDER if name in calibration.factors]

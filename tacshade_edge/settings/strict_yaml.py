@@ -112,7 +112,7 @@ def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
     except yaml.YAMLError as error:  # a character that YAML forbids
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: found too deeply nested YAML, expected a settings file's YAML") from error
+        raise ConfigError(f"{path}: found YAML that is nested too deeply, expected a settings file's YAML") from error
     reader.found.setdefault((), Found(1, "nothing"))
     return value, reader.found, reader.mistakes
 

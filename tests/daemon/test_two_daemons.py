@@ -102,12 +102,12 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         wait_until(lambda: second.said(f"c.reference.npz: in use by 'sensor left, {holder}'"), 30, "reference")
         if same_id:
             place = f"on {socket.gethostname()}, {holder}"
-            wait_until(lambda: second.said(f"another daemon, {place}, uses tacshade/left; waiting"), 30, "id")
+            wait_until(lambda: second.said(f"another daemon, {place}, is using tacshade/left; waiting"), 30, "id")
             address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            assert finding.found == f"two daemons use left: one runs {place}; the other waits {waiting}"
+            assert finding.found == f"two daemons use left: one is running {place}, and the other is waiting {waiting}"
         else:
             wait_until(lambda: health("right")["frames"]["captured"] > 10, 30, "the second works too")
         if same_folder:

@@ -47,7 +47,7 @@ def listener() -> Iterator[socket.socket]:
 def test_nothing_listens() -> None:
     port = free_port()
     finding = trouble(port)
-    assert finding.found == f"127.0.0.1:{port}: connection refused: nothing listens there"
+    assert finding.found == f"127.0.0.1:{port}: connection refused: nothing is listening"
     assert "sudo systemctl enable --now mosquitto" in finding.fix
     assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
 

@@ -41,7 +41,7 @@ def test_a_camera_that_moved() -> None:
     sensor = judged(shifted)["sensor"]
     assert sensor.state == "fault"
     assert sensor.found.startswith(
-        ("frames are unusable: the camera moved by 3.", "frames are unusable: the camera moved by 4.")
+        ("frames are unusable: the camera has moved by 3.", "frames are unusable: the camera has moved by 4.")
     )
     assert "fasten the camera where it was" in sensor.fix
 

@@ -42,7 +42,7 @@ def test_every_subject_is_checked_whatever_another_says(config: Path, machine: A
     found = checked(config, machine)
     assert {"settings", "broker", "serial", "disk", "clock", "source", "picture", "calibration", "sensor"} <= set(found)
     assert found["settings"].state == "ok"
-    assert "refused: nothing listens there" in found["broker"].found
+    assert "refused: nothing is listening" in found["broker"].found
     assert "daemon" not in found, "nobody to ask"
     assert found["sensor"].found == "the image matches the calibration and shows no contact"
 

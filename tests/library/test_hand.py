@@ -33,7 +33,7 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
             (thumb, alone),
             r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a hand's finger",
         ),
-        ((thumb, other), "other: found the hands left, right, expected recordings of one hand"),
+        ((thumb, other), "other: found recordings of the hands left, right, expected recordings of one hand"),
         ((thumb, thumb), "found a second recording of left-thumb, expected one recording per finger"),
         ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected 1"),
         (str(index), "recordings: found .*, expected a list of paths"),

@@ -124,7 +124,7 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("# only a comment\n", ":1: found nothing, expected a mapping of settings"),
         ("\n- a\n", ":2: found a list, expected a mapping of settings"),
         ("fast\n", ":1: found fast, expected a mapping of settings"),
-        ("a: " + "[" * 5000, ": found too deeply nested YAML, expected a settings file's YAML"),
+        ("a: " + "[" * 5000, ": found YAML that is nested too deeply, expected a settings file's YAML"),
         ("[" + "0," * 100_000 + "0]", ":1: not valid YAML here: more than 10000 values, expected a settings file"),
         ("#" * (1 << 20) + "\n", ": found more than 1048576 bytes, expected a settings file"),
     ],

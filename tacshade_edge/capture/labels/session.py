@@ -103,7 +103,7 @@ class LabelSession:
             rest_grey = motion_grey(blocks)
             if rest_grey > REST_MOST_GREY:
                 found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
-                self._terminal.say(f"  rejected: the picture moves or is too noisy: {found}")
+                self._terminal.say(f"  rejected: the picture is moving or too noisy: {found}")
                 continue
             self._live.rest_grey = rest_grey
             self._rest = np.mean(blocks, axis=0)

@@ -149,4 +149,4 @@ class PrinterLine:
 
     def _write(self, data: bytes) -> None:
         if not self._port.write(data):
-            raise SafetyStop("the printer accepts no data on the serial line")
+            raise SafetyStop("the printer is not accepting data on the serial line")

@@ -116,7 +116,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(
-            f"--listen {host}:{port}: {reason}, expected a free port at one of this machine's addresses"
+            f"--listen {host}:{port}: {reason}, expected a free port on one of this machine's addresses"
         ) from None
     _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:

@@ -194,7 +194,7 @@ def _run(
         described = source.describe()
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
         if described.get("exposure_lock") == Lock.AUTOMATIC:
-            terminal.say("warning: the driver does not lock the exposure, and changes in exposure look like touch")
+            terminal.say("warning: the driver does not lock the exposure, and changes in exposure look like touches")
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"live picture: {page.address}")

@@ -47,4 +47,6 @@ class CameraShift:
         shift_px = math.hypot(rows, cols) * self._cell_px
         if response < LEAST_RESPONSE or not LEAST_PX <= shift_px <= self._most_px:
             return None
-        return Reason(ReasonCode.CAMERA_SHIFT, f"the camera moved by {shift_px:.1f} px since the reference")
+        return Reason(
+            ReasonCode.CAMERA_SHIFT, f"the camera has moved by {shift_px:.1f} px since the reference was taken"
+        )

@@ -28,7 +28,9 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
     if not alike:
         unknown = dict.fromkeys(model.names)
         text = (
-            "the imprint is unlike the labelled object's" if found.alike else "the frame is unlike every labelled frame"
+            "the imprint is unlike the labelled object's imprint"
+            if found.alike
+            else "the frame is unlike every labelled frame"
         )
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
     values, sigma = found.values.tolist(), found.sigma.tolist()

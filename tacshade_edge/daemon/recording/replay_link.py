@@ -86,7 +86,7 @@ class ReplayLink:
         while not self._link.connected:
             if time.monotonic() > deadline_s:
                 reason = self._link.reason or Reason(ReasonCode.NO_ANSWER, "no answer")
-                expected = f"expected a broker at {self._where} within {CONNECT_S:.0f} s"
+                expected = f"expected a connection to the broker at {self._where} within {CONNECT_S:.0f} s"
                 raise DeviceError(f"{reason}; {expected}", code=reason.code)
             pause.wait(0.02)
         self._began_s = time.monotonic()

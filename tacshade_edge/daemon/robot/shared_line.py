@@ -181,7 +181,7 @@ class FollowingChannel:
                 payload = self._hears.recv(_BYTES_MAX)
             except TimeoutError:
                 if time.monotonic_ns() - heard_ns > SILENT_NS and self.port_state.state == "open":
-                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which owns the port, reports nothing")
+                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which owns the port, is sending nothing")
                     self.port_state = PortState("away", reason, {"shared_by": self._owner})
                 continue
             match _decoder.decode(payload):

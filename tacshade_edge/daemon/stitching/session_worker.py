@@ -282,7 +282,7 @@ class SessionWorker:
             return self._end(session)
         if command.action == "ABORT":
             return self._abort(session)
-        raise RefusedError(ReasonCode.NO_SESSION, "the session has only just started; add again")
+        raise RefusedError(ReasonCode.NO_SESSION, "the session has only just started; add the press again")
 
     def _begin(self, name: str) -> SessionResult:
         if self._folder_lock is None:

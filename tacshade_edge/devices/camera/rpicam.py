@@ -298,13 +298,14 @@ class _Stream:
         return DeviceError(f"{self._name}: the program exited with status {status}: {why!r}", code=code)
 
     def _stalled(self) -> DeviceError:
-        return DeviceError(f"{self._name}: the camera has stalled and sends no frames", code=ReasonCode.STALLED)
+        return DeviceError(f"{self._name}: the camera has stalled and is sending no frames", code=ReasonCode.STALLED)
 
     def other_size(self) -> DeviceError:
         """Return the error for frames of the wrong size."""
         height_px, width_px = self._shape
         return DeviceError(
-            f"{self._name}: found frames of another size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
+            f"{self._name}: found frames of another size, "
+            f"expected frames of {self._bytes} bytes ({width_px}x{height_px} YUV)",
             code=ReasonCode.NOT_OFFERED,
         )
 

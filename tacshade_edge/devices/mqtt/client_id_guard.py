@@ -113,7 +113,7 @@ class ClientIdGuard:
             return quiet_s >= _LIFE_S
         self._waited = True
         reason = Reason(
-            ReasonCode.IN_USE, f"{self._where}: another daemon, {place_of(self._holder)}, uses {self._base}"
+            ReasonCode.IN_USE, f"{self._where}: another daemon, {place_of(self._holder)}, is using {self._base}"
         )
         report(reason)
         if not self._reported:

@@ -65,7 +65,7 @@ def parse_line(raw: bytes) -> Line | Reason:
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(
             ReasonCode.NOT_A_LINE,
-            f"found other or too many bytes, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
+            f"found unprintable or too many bytes, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
         )
     text, star, digits = raw.decode("ascii").rpartition("*")
     if not star:
@@ -78,7 +78,7 @@ def parse_line(raw: bytes) -> Line | Reason:
     if head is None or (head[1] is None and head[2].startswith("#")):
         return Reason(
             ReasonCode.BAD_SYNTAX,
-            "found another form, expected [#seq] VERB args, optionally followed by a star and the CRC",
+            "found a line of another form, expected [#seq] VERB args, optionally followed by a star and the CRC",
         )
     seq = head[1]
     if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):

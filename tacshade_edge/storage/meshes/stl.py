@@ -89,7 +89,7 @@ def _ascii(path: Path, data: bytes) -> F64:
             in_facet += 1
         elif word.lower() == "endfacet":
             if in_facet != 3:
-                raise DecodeError(f"{path}:{number}: found a facet of {in_facet} corners, expected 3")
+                raise DecodeError(f"{path}:{number}: found a facet with {in_facet} corners, expected 3")
             in_facet = 0
     if in_facet:
         raise DecodeError(f"{path}: found the end of the file within a facet, expected the line endfacet")

@@ -60,7 +60,7 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
         known = {column: number(where, column, text) for column, text in texts.items() if text}
         labelled.append(LabelledImage(folder / name, known, where, cells.get("group", "").strip()))
     if not labelled:
-        raise ConfigError(f"{path}: found no image, expected one row per image")
+        raise ConfigError(f"{path}: found no rows, expected one per image")
     if not any(row.known for row in labelled):
         raise ConfigError(f"{path}:1: found no quantity, expected at least one of {', '.join(QUANTITIES)}")
     return labelled

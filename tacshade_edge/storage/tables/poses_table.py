@@ -43,7 +43,7 @@ def read_poses(path: Path) -> list[PosedImage]:
     """
     found = [_posed(path, where, row) for where, row in iter_rows(path, HEADER, "poses", rows_max=ROWS_MAX)]
     if not found:
-        raise ConfigError(f"{path}: found no pose, expected one row per image")
+        raise ConfigError(f"{path}: found no rows, expected one per image")
     return found
 
 

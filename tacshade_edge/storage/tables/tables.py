@@ -179,7 +179,7 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
     line0, known = lines[0][0], (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
         raise ConfigError(
-            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns of this name, expected one"
+            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns with this name, expected one"
         )
     for line, row in lines[1:]:
         if len(row) != len(header):

@@ -45,7 +45,7 @@ def test_one_whose_imprint_does_not_belong_to_the_numbers_is_not(model: TouchMod
     touch = touch_by_model(model, FEATURES[0], IMPRINTS[0] + np.float32(3))
     assert touch.reason is not None
     assert touch.reason.code is ReasonCode.TOUCH_UNLIKE
-    assert touch.reason.text == "the imprint is unlike the labelled object's"
+    assert touch.reason.text == "the imprint is unlike the labelled object's imprint"
     assert set(touch.values.values()) == {None}
 
 

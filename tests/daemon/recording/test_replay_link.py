@@ -84,7 +84,8 @@ def test_a_broker_with_password_and_tls_is_named_by_a_settings_file(
         assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
         (tmp_path / "password").write_text("wrong\n")
         assert main([*given, "--config", str(config)]) == 1
-        assert "rejects the connection: Not authorized; expected a broker at" in capsys.readouterr().err
+        err = capsys.readouterr().err
+        assert "rejects the connection: Not authorized; expected a connection to the broker at" in err
     (tmp_path / "password").unlink()
     assert main([*given, "--config", str(config)]) == 78
     assert "config.yaml:1: mqtt.password_file: " in capsys.readouterr().err
@@ -96,4 +97,5 @@ def test_a_broker_that_is_away_is_one_line(given: list[str], capsys: pytest.Capt
     assert main([*given, "--mqtt", f"127.0.0.1:{port}"]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert f"127.0.0.1:{port}: Connection refused; expected a broker at 127.0.0.1:{port} within 2 s" in err
+    where = f"127.0.0.1:{port}"
+    assert f"{where}: Connection refused; expected a connection to the broker at {where} within 2 s" in err

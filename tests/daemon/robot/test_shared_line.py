@@ -115,7 +115,7 @@ def test_an_owner_that_is_gone_is_told_by_those_that_follow(link: Path, sides: t
         sides[0].robot.stop(stretched(5))  # and polls no more
         follower = sides[1]
         wait_until(lambda: follower.latest()["reason_code"] == "no_answer", 20, "nothing is heard of the owner")
-        assert follower.latest()["reason"] == "thumb, which owns the port, reports nothing"
+        assert follower.latest()["reason"] == "thumb, which owns the port, is sending nothing"
 
 
 def test_a_follower_that_reads_nothing_keeps_nobody_waiting(link: Path) -> None:

@@ -123,10 +123,13 @@ def test_a_program_that_ends_is_quoted(
     ("does", "said"),
     [
         ({"exposure": 0.5}, "requested an exposure of 4000 us and a gain of 2, but got 2000 us and 2"),
-        ({"extra_bytes": 512}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
-        ({"extra_bytes": -512}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
+        ({"extra_bytes": 512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
+        ({"extra_bytes": -512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
         # Nine of its frames are eight of ours, read before it tells of the ninth.
-        ({"extra_bytes": -512, "behind": 9}, "found frames of another size, expected 4608 bytes, 64x48 YUV"),
+        (
+            {"extra_bytes": -512, "behind": 9},
+            r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)",
+        ),
     ],
 )
 def test_what_a_camera_does_not_offer_is_a_mistake_until_it_once_worked(

@@ -52,7 +52,7 @@ def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
             wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
-            told = f"another daemon, on {socket.gethostname()}, process {os.getpid()}, uses {BASE}"
+            told = f"another daemon, on {socket.gethostname()}, process {os.getpid()}, is using {BASE}"
             assert told in str(second.link.reason)
             status = json.loads(subscriber.wait_for(f"{BASE}/status/rival")[-1])
             assert (status["state"], status["reason_code"]) == ("waiting", "in_use")

@@ -48,7 +48,7 @@ def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
     assert len(seal(longest)) == LINE_BYTES_MAX
     assert isinstance(parse_line(seal(longest)[:-1]), Line)
     too_long = Reason(
-        ReasonCode.NOT_A_LINE, "found other or too many bytes, expected at most 255 printable ASCII characters"
+        ReasonCode.NOT_A_LINE, "found unprintable or too many bytes, expected at most 255 printable ASCII characters"
     )
     assert parse_line(seal(longest + "x")[:-1]) == too_long
 

@@ -47,7 +47,7 @@ def test_both_kinds(tmp_path: Path) -> None:
             ascii_text(TWO).replace("vertex 1", "vertex one", 1).encode(),
             ":5: found 'vertex one.*expected a line of the form vertex x y z",
         ),
-        (ascii_text(TWO).replace("  vertex 0.0", " corner 0", 1).encode(), ":8: found a facet of 2 corners"),
+        (ascii_text(TWO).replace("  vertex 0.0", " corner 0", 1).encode(), ":8: found a facet with 2 corners"),
         (ascii_text(TWO)[:60].encode(), "found the end of the file within a facet|expected a line"),
         (binary(np.full_like(TWO, np.inf)), "a corner with numbers that are not finite"),
     ],

@@ -33,7 +33,7 @@ def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> No
         ("", r"labels.csv:1: found no header, expected image"),
         ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
         ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected at least one of depth_mm"),
-        (HEADER, "found no image, expected one row per image"),
+        (HEADER, "found no rows, expected one per image"),
         (HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
         (HEADER + "a.png,nan,,,,\n", r"labels.csv:2: depth_mm: found 'nan', expected a number"),
         (HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),

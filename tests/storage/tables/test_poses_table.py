@@ -40,5 +40,5 @@ def test_mistakes_name_the_line(tmp_path: Path, line: str, message: str) -> None
 
 
 def test_an_empty_table(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found no pose"):
+    with pytest.raises(ConfigError, match="found no rows"):
         read_poses(table(tmp_path))

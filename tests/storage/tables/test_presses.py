@@ -89,7 +89,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
         ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
         (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*; the header lacks y_mm"),
-        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns of this name, expected one"),
+        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns with this name, expected one"),
         (HEADER + "a.png,ball,4.5,2\n", ":2: found 4 columns, expected 6"),
         (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
         (HEADER + "a.png,cube,4.5,2,,\n", ":2: indenter: found 'cube', expected ball"),

@@ -53,7 +53,9 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
         centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
-        asked = f"is the skin upright, is its radius {skin_radius_mm:g} mm and the ball's {ball_radius_mm:g} mm?"
+        asked = (
+            f"is the skin upright, and are the radii right (skin {skin_radius_mm:g} mm, ball {ball_radius_mm:g} mm)?"
+        )
         expected = f"expected at most {_MOST_RMS * skin_radius_mm:.2f} mm"
         raise ConfigError(f"found touches that miss a sphere by {rms_mm:.2f} mm (RMS), {expected}; {asked}")
     return centre, rms_mm

@@ -169,7 +169,7 @@ class McapFrames:
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
             raise DecodeError(
-                "found no message with this image's time, expected one before the image on the channel `frame`"
+                "found no message with this image's time, expected one on the channel `frame` before the image"
             )
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
@@ -204,7 +204,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
     count = f"{len(topics)} image topics ({named})" if topics else "no image topics"
     expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
-    raise ConfigError(f"{shown(paths[0])}: found {count}, expected one: {expected}{damage}")
+    raise ConfigError(f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}")
 
 
 def _described(file: McapFile) -> Iterator[SchemaName | Channel | Message | Damage]:

@@ -41,7 +41,7 @@ def test_another_skin_is_refused() -> None:
     places = np.vstack(((0, 0), 8 * RING))
     with pytest.raises(
         ConfigError,
-        match=r"expected at most 0\.13 mm; is the skin upright, is its radius 32 mm and the ball's 6 mm",
+        match=r"expected at most 0\.13 mm; is the skin upright, and are the radii right \(skin 32 mm, ball 6 mm\)",
     ):
         skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
 

@@ -187,7 +187,7 @@ def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
     assert len(refused) == 1
-    assert "expected one before the image on the channel `frame`" in refused[0]
+    assert "expected one on the channel `frame` before the image" in refused[0]
 
 
 def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
