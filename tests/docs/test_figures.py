@@ -238,7 +238,7 @@ def sigma() -> Claims:
         spans.append(f"{rounded(min(held), 0)} to {rounded(max(held), 0)} %")
         most = max(most, *(page.number("of greatest error %", "all", profile) for profile in PROFILES))
     yield f"hold {spans[0]} of the errors on sensors like those seen in training, and {spans[1]} on another family"
-    yield f"No tenth of the cells holds more than {math.ceil(most)} % of the error"
+    yield f"Even the worst tenth of the cells contributes at most {math.ceil(most)} % of the error"
 
 
 def stages() -> Claims:
