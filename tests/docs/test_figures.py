@@ -214,8 +214,8 @@ def limits() -> Claims:
     ):
         yield line(title, (page.cell("pitch 1.8", what, profile) for profile in LIMITS_ORDER))
     for title, what in (
-        ("change in a 2 mm depth after a camera shift of 1 px, mean %", "moved by 1 px"),
-        ("change in a 2 mm depth under a spot of glare, mean %", "glare spot"),
+        ("mean change in a 2 mm depth after a camera shift of 1 px, %", "moved by 1 px"),
+        ("mean change in a 2 mm depth under a spot of glare, %", "glare spot"),
     ):
         yield line(title, (page.cell("mean %", what, profile) for profile in LIMITS_ORDER))
     dents, glare = (
@@ -447,7 +447,7 @@ def hand() -> Claims:
     column = "memory, MB"
     (together,) = page.cells(column, "one command, forked processes")
     (apart,) = page.cells(column, "five commands, as with a systemd template unit")
-    yield f"Five sensors take {together} MB where five services would take {apart}"
+    yield f"Five sensors take {together} MB of memory; five services would take {apart} MB"
 
 
 def flange() -> Claims:
