@@ -61,7 +61,7 @@ class RobotPlaces:
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
             expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter but a ball"
             raise ConfigError(
-                f"found a turn of {turned_deg:.1f} degrees since the press whose place was typed, {expected}"
+                f"found the robot turned by {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
             )
         try:
             touch = fixed.touch(held, self._skin_radius_mm)

@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-loaded-reference",
         action="store_true",
-        help="warn, but do not stop, if something seems to press on the skin in the reference images",
+        help="warn, but do not stop, if something seems to be pressing on the skin in the reference images",
     )
     parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
     parser.set_defaults(usage_error=parser.error)

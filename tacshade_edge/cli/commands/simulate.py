@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pad",
         type=Path,
         metavar="DIR",
-        help="folder for images of presses that cover a touchpad, with poses and ground truth",
+        help="simulate presses that cover a touchpad, and write their images, poses and ground truth to this folder",
     )
     parser.add_argument(
         "--pad-step",
