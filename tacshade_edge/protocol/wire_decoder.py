@@ -223,7 +223,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
 def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> None:
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
-        raise DecodeError(f"height/cloud payload, byte 36: found {found}, expected positions and a step within an image")
+        raise DecodeError(f"height/cloud payload, byte 36: found {found}, expected places and a step within an image")
     if not 0 < scale_mm <= 1:
         raise DecodeError(
             f"height/cloud payload, byte 48: found scale_mm {scale_mm:g}, expected a number above 0 and at most 1"
