@@ -82,7 +82,7 @@ def check_reach(reach_mm: float, what: str, limits: PrinterFile) -> None:
     for axis, start, (least, most) in zip("xy", limits.start_mm, (limits.x_mm, limits.y_mm), strict=False):
         room_mm = min(start - least, most - start) - BESIDE_START_MM
         if reach_mm > room_mm:
-            expected = f"expected at most {room_mm:.1f} mm, the most that {axis}_mm and start_mm in PRINTER.yaml allow"
+            expected = f"expected at most {room_mm:.1f} mm, the limit set by {axis}_mm and start_mm in PRINTER.yaml"
             raise ConfigError(f"{what}: found a reach of {reach_mm:.1f} mm from the skin's axis, {expected}")
 
 

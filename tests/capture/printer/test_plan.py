@@ -47,7 +47,8 @@ def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[st
 def test_the_limits_hold_every_place_however_the_sensor_is_turned() -> None:
     near_the_edge = PrinterFile(x_mm=[0, 220], y_mm=[0, 118], z_mm=[40, 200], start_mm=[110, 110, 90], feed_mm_s=50)
     with pytest.raises(
-        ConfigError, match=r"found a reach of 3.2 mm from the skin's axis, expected at most 3.0 mm, as y_mm"
+        ConfigError,
+        match=r"found a reach of 3.2 mm from the skin's axis, expected at most 3.0 mm, the limit set by y_mm",
     ):
         planned_presses((BALL,), NAMES, SENSOR, near_the_edge)
 
