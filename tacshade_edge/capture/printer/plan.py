@@ -114,4 +114,4 @@ def _check(press: PlannedPress, sensor: Sensor, limits: PrinterFile) -> None:
     travel_mm = press.depth_mm - first_touch_mm(press.indenter, r, press.x_mm, press.y_mm)
     if not 0 < travel_mm <= _DEEPEST_RADII * r:
         expected = f"expected more than 0 mm and at most {_DEEPEST_RADII * r:.1f} mm"
-        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel after first touch, {expected}")
+        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel from first touch, {expected}")

@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_sensor_id,
         default="replay",
         metavar="ID",
-        help="publish under tacshade/ID (default: replay)",
+        help="publish on topics under tacshade/ID (default ID: replay)",
     )
     add(
         "input",

@@ -40,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_milliseconds,
         metavar="MS",
         help=(
-            "print the settings of the most accurate profile that processes 99 of 100 frames "
-            "in contact within MS milliseconds"
+            "print the settings of the most accurate profile "
+            "that needs at most MS milliseconds for 99 of 100 frames in contact"
         ),
     )
     study.add_cluster(parser)

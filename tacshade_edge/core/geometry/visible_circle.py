@@ -70,7 +70,8 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
         )
     if disc.radius_px < LEAST_RADIUS_PX:
         raise ConfigError(
-            f"three points: found a circle of radius {disc.radius_px:.0f} px, expected at least {LEAST_RADIUS_PX:g} px"
+            f"three points: found a circle with a radius of {disc.radius_px:.0f} px, "
+            f"expected at least {LEAST_RADIUS_PX:g} px"
         )
     if (seen := rim_seen(shape, disc)) < LEAST_RIM_SEEN:
         raise ConfigError(

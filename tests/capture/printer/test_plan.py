@@ -33,7 +33,7 @@ def test_a_press_is_recognised_whatever_its_yaw_was() -> None:
         (("square", "", "2", "0", "5", "30", "", "", "", ""), "found yaw, tilt or shear, expected none"),
         (
             ("ball", "6", "9", "0", "0"),
-            "found 9.0 mm of travel after first touch, expected more than 0 mm and at most 6.7",
+            "found 9.0 mm of travel from first touch, expected more than 0 mm and at most 6.7",
         ),
         (("ball", "6", "2", "15", "6"), "found a place 16.2 mm from the skin's axis, expected at most 15.3 mm, the"),
     ],

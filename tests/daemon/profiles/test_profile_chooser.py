@@ -73,7 +73,7 @@ def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
     machine.run(5, load=2.2)
     assert machine.path() == ["balanced"]  # 25 ms became 14
     assert machine.steps[0][0] - 10 <= (LATE_FRAMES + 2) / FPS
-    text = "7 of the latest 60 frames in contact took over 20 ms"
+    text = "7 of the latest 60 frames in contact took more than 20 ms"
     assert machine.steps[0][1].reason == Reason(ReasonCode.OVER_BUDGET, text)
     machine.run(5, load=3.5)
     assert machine.path() == ["balanced", "fast"]  # 20.5 ms became 10
