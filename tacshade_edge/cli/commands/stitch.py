@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=(
             "instead of a map, compute flange_T_sensor and the frame delay from overlapping presses "
-            "and write flange.json"
+            "and write them to flange.json"
         ),
     )
     parser.add_argument("--json", action="store_true", help="print map.json (with --find-flange: flange.json)")

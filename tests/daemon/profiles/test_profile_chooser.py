@@ -81,7 +81,7 @@ def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
     assert machine.path() == ["balanced", "fast"]  # nothing better is expected to keep it, so nothing is tried
     machine.run(3 * PATIENCE_S)
     assert machine.path() == ["balanced", "fast", "balanced", "accurate"]
-    text = "90 % of 60 frames took up to 8.0 ms; the next profile should take 13.0 ms"
+    text = "90 % of 60 frames took up to 8.0 ms; the next more accurate profile should take 13.0 ms"
     assert machine.steps[3][1].reason == Reason(ReasonCode.WITHIN_BUDGET, text)
 
 
