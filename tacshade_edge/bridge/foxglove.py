@@ -158,7 +158,7 @@ class _Sensor:
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
-                f"height: found a height above the skin's radius, expected at most {known.skin_radius_mm:g} mm"
+                f"height: found a height greater than the skin's radius, expected at most {known.skin_radius_mm:g} mm"
             )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
@@ -317,7 +317,7 @@ class FoxgloveBridge:
             if known.shown is not None and sensor_id not in best:
                 known.close()
                 _log.warning(
-                    "no longer showing %s, because the limit is %d sensors and others publish more often",
+                    "no longer showing %s, because only %d sensors can be shown and others publish more often",
                     sensor_id,
                     SENSORS_MAX,
                 )

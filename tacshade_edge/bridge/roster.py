@@ -93,6 +93,6 @@ class Refusals:
         if len(self._said) >= _SAID_MAX:
             self._said.clear()
         self._said[sensor_id] = text
-        more = f" (warnings not logged before this one: {self._unreported})" if self._unreported else ""
+        more = f" (earlier warnings that were not logged: {self._unreported})" if self._unreported else ""
         self._reported_s, self._unreported = self._clock_s(), 0
         _log.warning("%s: %s%s", sensor_id, escaped(text, _CHARS_MAX), more)

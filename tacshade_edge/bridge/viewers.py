@@ -264,8 +264,8 @@ class Viewers:
                 viewer.wake.set()
                 self._viewers.append(viewer)
         if full:
-            _log.warning("turned a viewer away: %d viewers are already connected, which is the limit", VIEWERS_MAX)
-            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are already connected, which is the limit")
+            _log.warning("turned a viewer away: %d viewers, the maximum, are already connected", VIEWERS_MAX)
+            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers, the maximum, are already connected")
             return
         sending = asyncio.ensure_future(self._send_all(viewer))
         try:

@@ -59,9 +59,9 @@ class RobotPlaces:
         """Return the columns of PRESSES.csv for a press of a known indenter. Raises ConfigError."""
         fixed, held = self._fixed[name], self._base_T_sensor(frame)
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
-            expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter but a ball"
+            expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter other than a ball"
             raise ConfigError(
-                f"found the robot turned by {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
+                f"found a sensor rotation of {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
             )
         try:
             touch = fixed.touch(held, self._skin_radius_mm)

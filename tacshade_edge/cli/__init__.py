@@ -28,10 +28,16 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
     "replay": ("replay", "reconstruct a recording again and write or publish the results, or compare two runs"),
     "export": ("export", "convert a recording to MCAP, a LeRobot data set, CSV or PLY for other tools"),
-    "dashboard": ("dashboard", "serve a web page with live height maps, a 3-D view and sensor health, even offline"),
+    "dashboard": (
+        "dashboard",
+        "serve a web page with live height maps, a 3-D view and sensor health; the page needs no internet access",
+    ),
     "bridge": ("bridge", "serve live data to Foxglove, Lichtblick and Prometheus"),
-    "evaluate": ("evaluate", "score profiles against ground truth, in the paper's Experiment 1 or for your own images"),
-    "tradeoff": ("tradeoff", "measure speed against accuracy on this machine and choose a profile for a time budget"),
+    "evaluate": ("evaluate", "score profiles against ground truth, using the paper's Experiment 1 or your own images"),
+    "tradeoff": (
+        "tradeoff",
+        "measure the speed and accuracy of profiles on this machine, and choose one for a time budget",
+    ),
     "stitch": (
         "stitch",
         "combine images and the robot's poses into one large map, and score the map against a known surface",
@@ -56,7 +62,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
     """Return the command line's parser and the modules of the wanted commands; only these get their options."""
     parser = Parser(
         prog="tacshade-edge",
-        description="Metric shape from touch for TacShade sensors.",
+        description="Measure metric shape by touch with TacShade sensors.",
         epilog="tacshade-edge COMMAND --help lists a command's options.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")

@@ -285,7 +285,7 @@ class App:
         """Settle the frames that are still in progress then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
-            _log.warning("stopped before %d frames were sent", given_up)
+            _log.warning("stopped without sending %d frames, which were still in progress", given_up)
 
     # Other threads call these: they count or enqueue and do nothing else.
 

@@ -106,7 +106,9 @@ class Requests(FrameObserver):
         request, deadline_s = self._reference
         if self._taken is None and time.monotonic() < deadline_s:
             return
-        late = Reason(ReasonCode.TIMEOUT, f"fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s")
+        late = Reason(
+            ReasonCode.TIMEOUT, f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
+        )
         taken = self._taken or late
         self._collector = self._reference = self._taken = None
         if isinstance(taken, Reason):

@@ -64,7 +64,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
-                _log.warning("disconnected a page that sends messages but reads none")
+                _log.warning("disconnected a page that kept sending messages but read none")
                 self.transport.abort()
 
     return Connection

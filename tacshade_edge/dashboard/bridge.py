@@ -90,7 +90,7 @@ class Bridge:
         except (OSError, TimeoutError) as error:
             reason = f"broker {self._broker}: {_reason(error)}"
             if not self._away:
-                _log.warning("%s; pages keep trying to connect", reason)
+                _log.warning("%s; pages will keep trying to connect", reason)
             self._away = True
             await page.close(_TRY_AGAIN, _short(reason))
             return

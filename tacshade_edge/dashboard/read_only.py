@@ -55,7 +55,7 @@ def _packet_bytes(data: bytes, start: int) -> int | None:
         return None
     remaining, header = found[0], found[1] - start
     if remaining > PACKET_BYTES_MAX:
-        raise DecodeError(f"found a packet of {remaining} bytes, expected at most {PACKET_BYTES_MAX}")
+        raise DecodeError(f"found a packet of {remaining} bytes, expected at most {PACKET_BYTES_MAX} bytes")
     return header + remaining if len(data) - start >= header + remaining else None
 
 
@@ -103,7 +103,9 @@ def _after_properties(packet: bytes, at: int) -> int:
     while at < end:
         identifier = packet[at]
         if identifier not in _PROPERTIES:
-            raise DecodeError(f"read-only: found property {identifier} in CONNECT, expected one that a page sends")
+            raise DecodeError(
+                f"read-only: found property {identifier} in CONNECT, expected only properties that a page sends"
+            )
         value = packet[at + 1 : at + 1 + _PROPERTIES[identifier]]
         if identifier == _SESSION_EXPIRY and any(value):
             raise DecodeError("read-only: found a persistent session, expected a session that ends with its connection")

@@ -94,7 +94,7 @@ def find(folder: Path, name: object) -> Path:
     for part in parts:
         path /= part
         if path.is_symlink():
-            raise DeviceError(f"{shown(str(name))}: found a symbolic link, expected a recording")
+            raise DeviceError(f"{shown(str(name))}: found a symbolic link, expected a recording's file or folder")
     if not _is_recording(path):
         raise DeviceError(f"found no recording {shown(str(name))}")
     if _look_at(folder, "/".join(parts)).is_growing:

@@ -72,8 +72,10 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
             install = "sudo apt install mosquitto"
             return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
         case ConnectionRefusedError():
-            listens = "does mqtt.port accept connections from other machines (mosquitto: `listener`)?"
-            return f"is the broker running, and {listens}"
+            return (
+                "is the broker running, and does it accept connections from other machines on mqtt.port "
+                "(mosquitto: `listener`)?"
+            )
         case TimeoutError():
             asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
             return f"{asked} Is mqtt.port the broker's TLS port?" if tls_ca else asked

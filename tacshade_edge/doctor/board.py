@@ -30,7 +30,7 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
         if flags & bits:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
         elif flags >> 16 & bits:
-            found.append(warning("board", f"{what} since boot, but not now", fix))
+            found.append(warning("board", f"{what} at some time since boot, but not now", fix))
     return tuple(found) or (ok("board", "power and temperature have been fine since boot"),)
 
 

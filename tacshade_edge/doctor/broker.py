@@ -105,7 +105,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
     trouble = _connect(client, host, port, tls_ca) or _greet(client, session, where, username, tls_ca)
     if trouble is None:
         took_ms = 1e3 * (time.monotonic() - began_s)
-        found = f"{where}: accepts the connection{' over TLS' if tls_ca else ''} within {took_ms:.0f} ms"
+        found = f"{where}: accepted the connection{' over TLS' if tls_ca else ''} in {took_ms:.0f} ms"
         first = ok("broker", found)
         second = _round_trip(client, session, base, username)
         client.disconnect()
@@ -250,9 +250,12 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
 
 def judge_round_trip(middle_ms: float) -> Finding:
     """Judge whether the round trip of a 38 KB message is quick enough."""
-    found = f"{_MESSAGE_BYTES // 1000} KB sent and returned in {middle_ms:.1f} ms"
+    found = f"a {_MESSAGE_BYTES // 1000} KB message made the round trip in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
-        fix = "add set_tcp_nodelay true to the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
+        fix = (
+            "add `set_tcp_nodelay true` to the broker's configuration (systemd/mosquitto-tacshade.conf), "
+            "or connect by cable"
+        )
         return warning("broker round trip", found, fix)
     return ok("broker round trip", found)
 

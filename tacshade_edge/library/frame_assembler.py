@@ -177,7 +177,7 @@ def _touched(
     height_mm, grid = message.height_mm, _grid(message)
     if (height_mm > geometry.skin_radius_mm).any():
         raise DecodeError(
-            f"height: found a height above the skin's radius, expected at most {geometry.skin_radius_mm:g} mm"
+            f"height: found a height greater than the skin's radius, expected at most {geometry.skin_radius_mm:g} mm"
         )
     contact = cells_that_see(cloud.points_mm, grid, geometry) & ~np.isnan(height_mm)
     found = find_objects(contact, height_mm, shear_mm, disc_rays(grid, geometry), geometry)

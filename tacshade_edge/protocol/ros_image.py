@@ -73,7 +73,9 @@ class _Cursor:
         try:
             (value,) = self._u32.unpack_from(self._payload, self._at)
         except struct.error:
-            raise DecodeError(f"cut short after {len(self._payload)} bytes, expected a whole image") from None
+            raise DecodeError(
+                f"found an image cut short after {len(self._payload)} bytes, expected a whole image"
+            ) from None
         self._at += 4
         return int(value)
 
@@ -81,7 +83,7 @@ class _Cursor:
         count = self.u32()
         found = self._payload[self._at : self._at + count]
         if len(found) < count:
-            raise DecodeError(f"cut short after {len(self._payload)} bytes, expected a whole image")
+            raise DecodeError(f"found an image cut short after {len(self._payload)} bytes, expected a whole image")
         self._at += count
         return found
 

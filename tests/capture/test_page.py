@@ -87,7 +87,7 @@ def test_three_points_are_a_circle_and_null_is_the_one_that_is_found(page: Page)
         (b'{"points": [[1, 2], [3, 4], [5, NaN]]}', "circle: JSON is malformed"),
         (b'{"points": [[1, 2], [3, 4], [5, 1e300]]}', "circle: Expected `float` <= 20000"),
         (b'{"points": [[1, 2], [3, 4], [-2, 1]]}', "circle: Expected `float` >= -1"),
-        (b'{"points": [[1, 2], [2, 4], [3, 6]]}', "three points: found points on a line"),
+        (b'{"points": [[1, 2], [2, 4], [3, 6]]}', "three points: found points on one line"),
         (
             b'{"points": [[1, 2], [2, 4], [3, 641]]}',
             "three points: found a point at row 3, col 641, expected a point in",

@@ -151,7 +151,7 @@ GOOD = "images/good.png"
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "cut.png"],
             78,
-            "--reference: cut.png: cut short after 1000 bytes, expected a whole image",
+            "--reference: cut.png: found an image cut short after 1000 bytes, expected a whole image",
         ),
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "large/large.png"],
@@ -161,11 +161,15 @@ GOOD = "images/good.png"
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "--presses", "PRESSES.csv"],
             78,
-            "PRESSES.csv:2: image: cut.png: cut short after 1000 bytes, expected a whole image",
+            "PRESSES.csv:2: image: cut.png: found an image cut short after 1000 bytes, expected a whole image",
         ),
         ([*RECONSTRUCT, "flipped.npz", GOOD], 78, "flipped.npz: "),
         ([*RECONSTRUCT, "text.png", GOOD], 78, f"text.png: not a calibration, or damaged; {WRITTEN_BY}"),
-        ([*RECONSTRUCT, "good.npz", GOOD, "cut.png"], 1, "cut.png: cut short after 1000 bytes, expected a whole image"),
+        (
+            [*RECONSTRUCT, "good.npz", GOOD, "cut.png"],
+            1,
+            "cut.png: found an image cut short after 1000 bytes, expected a whole image",
+        ),
         ([*RECONSTRUCT, "good.npz", "text.png", GOOD], 1, "text.png: found 9 bytes that are not an image, expected a "),
         ([*RECONSTRUCT, "good.npz", "none.png", GOOD], 1, "none.png: No such file or directory, expected an image"),
         (
@@ -222,7 +226,7 @@ def test_images_that_cannot_be_decoded_are_told_once(folder: Path) -> None:
     config = settings(folder, name="undecodable.yaml", source="kind: files, path: cut.png, loop: true, fps: 240")
     with running(folder, config) as said:
         wait_until(lambda: lines_with(said, "cut.png"), 20, "the line")
-    line = f"source away: {folder}/cut.png: cut short after 1000 bytes, expected a whole image"
+    line = f"source away: {folder}/cut.png: found an image cut short after 1000 bytes, expected a whole image"
     assert lines_with(said, "cut.png") == [f"WARNING tacshade_edge.daemon.app: {line}"]
     assert "'published': 0" in said.read_text()
 

@@ -124,6 +124,6 @@ def test_a_touched_sensor_or_no_frames_leave_the_old_reference(
     monkeypatch.setattr(requests, "REFERENCE_TIMEOUT_S", 0.0)
     asked.requests.handle(Request("reference"))
     asked.requests.poll()
-    assert asked.replies[1]["error"] == "fewer than 10 frames within 0 s"
+    assert asked.replies[1]["error"] == "received fewer than 10 frames within 0 s"
     assert asked.active.reconstructor is before
     assert asked.changes == 0

@@ -18,8 +18,14 @@ def test_nothing_to_say_of_a_machine_that_tells_nothing(machine: Any) -> None:
     ("flags", "found"),
     [
         ("0", ["power and temperature have been fine since boot"]),
-        ("50000", ["under-voltage since boot, but not now", "slowed down since boot, but not now"]),
-        ("50001", ["under-voltage now; frames will be late or lost", "slowed down since boot, but not now"]),
+        (
+            "50000",
+            ["under-voltage at some time since boot, but not now", "slowed down at some time since boot, but not now"],
+        ),
+        (
+            "50001",
+            ["under-voltage now; frames will be late or lost", "slowed down at some time since boot, but not now"],
+        ),
         ("80008", ["slowed down now; frames will be late or lost"]),
     ],
 )

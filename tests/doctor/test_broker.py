@@ -78,7 +78,7 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         findings, daemon = ask(broker.port)
         assert findings["broker"].state == "ok"
-        assert findings["broker round trip"].found.startswith("38 KB sent and returned in ")
+        assert findings["broker round trip"].found.startswith("a 38 KB message made the round trip in ")
         assert daemon == DaemonState()
         wait_until(lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself")
     assert {message.topic for message in seen.messages} == {f"{BASE}/doctor"}, "no last will, no state"
@@ -178,7 +178,7 @@ def test_tls(tmp_path: Path) -> None:
     other = Broker(tmp_path / "theirs", tls=True)
     with Broker(tmp_path / "ours", tls=True) as broker:
         good, _ = ask(broker.port, tls_ca=str(broker.ca))
-        assert "accepts the connection over TLS" in good["broker"].found
+        assert "accepted the connection over TLS" in good["broker"].found
         wrong = trouble(broker.port, tls_ca=str(other.ca))
         assert "its certificate failed verification: self-signed certificate" in wrong.found
         assert wrong.fix.startswith("set mqtt.ca_file")
@@ -223,7 +223,7 @@ def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) 
 
 
 def test_a_slow_round_trip() -> None:
-    assert judge_round_trip(1.2) == ok("broker round trip", "38 KB sent and returned in 1.2 ms")
+    assert judge_round_trip(1.2) == ok("broker round trip", "a 38 KB message made the round trip in 1.2 ms")
     slow = judge_round_trip(41)
     assert slow.state == "warning"
-    assert slow.fix.startswith("add set_tcp_nodelay true")
+    assert slow.fix.startswith("add `set_tcp_nodelay true`")

@@ -15,7 +15,7 @@ from tacshade_edge.doctor.settings import check_settings
     [
         ("sensor: a\n", False, ":1: sensor: found an unknown key"),
         ("source: {kind: simulated}\nmqtt: {ca_file: no.pem}\n", True, ":2: mqtt.ca_file: found no file"),
-        ("mqtt: {ca_file: s.yaml}\n", True, ":1: mqtt: TLS authority"),
+        ("mqtt: {ca_file: s.yaml}\n", True, ":1: mqtt: CA certificate file"),
         ("mqtt: {username: a, password_file: none}\n", True, ":1: mqtt.password_file: "),
     ],
 )

@@ -145,7 +145,9 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     began_s = cell.mark()
     cell.start()
     detected_s = cell.told(
-        "repaired a recording whose daemon died; the file now ends after the last whole record", began_s
+        "repaired a recording that a daemon left unfinished when it died; "
+        "the file now ends after its last whole record",
+        began_s,
     )
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))

@@ -251,7 +251,7 @@ class LabelSession:
         if offset is None:
             raise DeviceError(
                 f"cannot match the scale's clock to the camera's: {self._unaligned}; "
-                f"the presses of this run have no {_FORCE}"
+                f"the presses in this run have no {_FORCE}"
             )
         self._terminal.say(
             f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "

@@ -83,7 +83,9 @@ class Head:
     def over(self, x_mm: float, y_mm: float) -> None:
         """Move sideways at the present height. Raises as `to`."""
         if not self.is_free:
-            raise SafetyStop(f"sideways move: found z {self.z_mm:.2f} mm, expected z {self.free_z_mm:.2f} mm or above")
+            raise SafetyStop(
+                f"sideways move: found z at {self.z_mm:.2f} mm, expected z at {self.free_z_mm:.2f} mm or above"
+            )
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 
     def to(self, z_mm: float) -> None:

@@ -145,7 +145,7 @@ class PrinterLine:
 
     def _check_failure(self, command: str) -> None:
         if self._exchange.failure:
-            raise SafetyStop(f"the printer failed at {command}: {self._exchange.failure}")
+            raise SafetyStop(f"the printer failed to execute {command}: {self._exchange.failure}")
 
     def _write(self, data: bytes) -> None:
         if not self._port.write(data):

@@ -82,7 +82,7 @@ def check_reach(reach_mm: float, what: str, limits: PrinterFile) -> None:
     for axis, start, (least, most) in zip("xy", limits.start_mm, (limits.x_mm, limits.y_mm), strict=False):
         room_mm = min(start - least, most - start) - BESIDE_START_MM
         if reach_mm > room_mm:
-            expected = f"expected at most {room_mm:.1f} mm, the most that {axis}_mm and start_mm in PRINTER.yaml allow"
+            expected = f"expected at most {room_mm:.1f} mm, the limit set by {axis}_mm and start_mm in PRINTER.yaml"
             raise ConfigError(f"{what}: found a reach of {reach_mm:.1f} mm from the skin's axis, {expected}")
 
 
@@ -114,4 +114,4 @@ def _check(press: PlannedPress, sensor: Sensor, limits: PrinterFile) -> None:
     travel_mm = press.depth_mm - first_touch_mm(press.indenter, r, press.x_mm, press.y_mm)
     if not 0 < travel_mm <= _DEEPEST_RADII * r:
         expected = f"expected more than 0 mm and at most {_DEEPEST_RADII * r:.1f} mm"
-        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel after first touch, {expected}")
+        raise ConfigError(f"{what}: found {travel_mm:.1f} mm of travel from first touch, {expected}")

@@ -184,7 +184,7 @@ class Pressing:
     def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
         """Move above a place; return z at first touch and at full depth. Raises SafetyStop if the circle changed."""
         if self._session.circle_changed:
-            raise SafetyStop("the visible circle changed after the sensor was located; start again")
+            raise SafetyStop("the visible circle changed after the printer located the sensor; start again")
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)
         place_x, place_y, touch_z = self._stand.head_mm(x, y, first_mm)

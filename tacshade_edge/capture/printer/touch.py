@@ -84,4 +84,6 @@ class Touch:
             self.head.to(z_mm)
             if self.detector.look():
                 return
-        raise SafetyStop(f"found no touch down to z {self.head.z_mm:.2f} mm, expected one above z {least_z_mm:.2f} mm")
+        raise SafetyStop(
+            f"found no contact down to z {self.head.z_mm:.2f} mm, expected contact above z {least_z_mm:.2f} mm"
+        )

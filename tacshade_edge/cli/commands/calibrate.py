@@ -40,19 +40,28 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="file with the sensor's dimensions and camera")
+    kind.add_argument(
+        "--sensor", type=Path, metavar="SENSOR.yaml", help="file that describes the sensor's dimensions and camera"
+    )
     kind.add_argument(
         "--rezero", type=Path, metavar="CAL.npz", help="replace only the reference in this calibration file"
     )
     parser.add_argument(
-        "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="at least 5 images of the unloaded skin"
+        "--reference",
+        type=Path,
+        required=True,
+        nargs="+",
+        metavar="IMG",
+        help="at least 5 images of the untouched skin",
     )
-    parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="table of known presses, for metric depth")
+    parser.add_argument(
+        "--presses", type=Path, metavar="PRESSES.csv", help="calibrate depth in mm with the known presses in this table"
+    )
     parser.add_argument(
         "--indenters",
         type=Path,
         metavar="INDENTERS.yaml",
-        help="file that defines the indenters in PRESSES.csv other than balls",
+        help="file that defines every indenter in PRESSES.csv that is not a ball",
     )
     parser.add_argument(
         "--depth-from-touch", action="store_true", help="treat depth_mm in PRESSES.csv as travel from first touch"
@@ -66,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--labels",
         type=Path,
         metavar="LABELS.csv",
-        help="table of frames labelled with depth, tilt, shear, forces and so on",
+        help="learn depth, tilt, shear, forces and so on from the labelled frames in this table",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="calibration file to write")
     parser.add_argument(

@@ -78,14 +78,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scale",
         metavar="DEVICE[:BAUD]",
-        help=f"with --labels: read the scale on this serial port, which must send numbers with units ({BAUD} baud)",
+        help=f"with --labels: read a scale on this serial port; the scale must send numbers with units at {BAUD} baud",
     )
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="camera to use, if the machine has several")
-    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file that names the camera as its source")
+    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file whose `source` is the camera")
     add_sensor(parser)
     parser.add_argument(
-        "--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, with the columns of PRESSES.csv"
+        "--plan",
+        type=Path,
+        metavar="PLAN.csv",
+        help="suggest the presses in this table, which has the same columns as PRESSES.csv",
     )
     parser.add_argument(
         "--printer",
@@ -103,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     if args.scale is not None and args.labels is None:
         raise ConfigError("--scale: found no --labels DIR, expected both options")
     if args.labels is not None and (args.plan or args.printer):
-        raise ConfigError("--labels: found --plan or --printer as well, expected neither")
+        raise ConfigError("--labels: found --plan or --printer too, expected --labels without them")
     if args.printer is not None and args.plan is None:
         raise ConfigError("--printer: found no --plan, expected both options; --indenters DIR writes a plan")
     terminal = Terminal(0, sys.stdout)

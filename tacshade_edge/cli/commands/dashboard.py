@@ -28,22 +28,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=address(),
         default=("localhost", 1883),
         metavar="HOST:PORT",
-        help="the broker's address and plain MQTT port (default: localhost:1883)",
+        help="the broker's address and MQTT port, not its WebSocket port (default: localhost:1883)",
     )
     parser.add_argument(
-        "--http", type=_port, default=8080, metavar="PORT", help="port of the page; 0 picks a free port (default: 8080)"
+        "--http",
+        type=_port,
+        default=8080,
+        metavar="PORT",
+        help="port to serve the page on; 0 picks a free port (default: 8080)",
     )
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="address to listen on (default: this machine only); others need a token and make the page read-only",
+        help=(
+            "address to listen on (default: this machine only); "
+            "any other address needs a token and makes the page read-only"
+        ),
     )
     parser.add_argument(
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="file with the token that opens the page read-only; the dashboard creates a missing file",
+        help="file with the token that opens the page read-only; the dashboard creates the file if it is missing",
     )
     parser.add_argument(
         "--allow-control", action="store_true", help="also let anyone with the token send commands to the sensors"
@@ -55,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let the page list, play, download and delete the recordings in this folder",
     )
     parser.add_argument(
-        "--certificate", type=Path, metavar="FILE", help="PEM file with the certificate for serving the page over TLS"
+        "--certificate", type=Path, metavar="FILE", help="serve the page over TLS with the certificate in this PEM file"
     )
     parser.add_argument(
         "--key",
@@ -75,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="URL",
-        help="the page's public address behind a proxy, such as https://hand.example.org",
+        help="public address of a page that a proxy serves, such as https://hand.example.org",
     )
 
 

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--http",
         type=int,
         metavar="PORT",
-        help=f"port of the page (default: {PORT}, or any free port if {PORT} is in use)",
+        help=f"port to serve the page on (default: {PORT}, or any free port if {PORT} is in use)",
     )
     add(
         "--listen",

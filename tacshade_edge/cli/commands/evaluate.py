@@ -49,14 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=Path,
         metavar="SENSOR.yaml",
-        help="file with the sensor's dimensions and camera, instead of --calibration",
+        help="file that describes the sensor's dimensions and camera, instead of --calibration",
     )
     labelled.add_argument(
         "--reference",
         type=Path,
         nargs="+",
         metavar="IMG",
-        help="with --sensor: images of the unloaded skin (default: the least loaded frame)",
+        help="with --sensor: images of the untouched skin (default: the least loaded frame)",
     )
     study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")

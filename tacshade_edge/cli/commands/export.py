@@ -79,7 +79,7 @@ def _export_hand(args: argparse.Namespace) -> int:
             "--calibration: found a calibration for several recordings, expected none; each recording contains its own"
         )
     if args.out is None:
-        raise ConfigError("--out: found no file name, expected the name of a new file for several recordings")
+        raise ConfigError("--out: found no file name, expected the name of a new file to export several recordings to")
     if args.to == "mcap":
         require_mcap()
     from tacshade_edge.factories.hand_recordings import read_hand

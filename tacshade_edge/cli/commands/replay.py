@@ -40,7 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="compare the run in --out with this earlier run; exit with status 1 if they differ",
     )
-    add("--fps", type=positive, metavar="N", help="frame rate of a recording that has no time stamps (default: 30)")
+    add(
+        "--fps",
+        type=positive,
+        metavar="N",
+        help="frame rate to assume for a recording without time stamps (default: 30)",
+    )
     add(
         "--speed",
         type=positive,
@@ -66,14 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_sensor_id,
         default="replay",
         metavar="ID",
-        help="publish under tacshade/ID (default: replay)",
+        help="publish on topics under tacshade/ID (default ID: replay)",
     )
     add(
         "input",
         type=Path,
         nargs="?",
         metavar="INPUT",
-        help="folder of images or video file; omit INPUT if you only compare two runs",
+        help="video file or folder of images; omit INPUT if you only want to compare two runs",
     )
     parser.set_defaults(refuse=parser.error)
 

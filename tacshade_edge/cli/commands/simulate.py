@@ -91,13 +91,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[0.0],
         metavar="DEG",
-        help="rotation about z in degrees while the object is dragged (default: 0)",
+        help="rotation of the object about z in degrees after contact (default: 0)",
     )
     parser.add_argument(
         "--calibration-set",
         type=Path,
         metavar="DIR",
-        help="folder for a calibration set: images of the untouched skin and of ball presses",
+        help="write a calibration set (images of the untouched skin and of ball presses) to this folder",
     )
     parser.add_argument(
         "--presses",
@@ -128,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt from press to press")
     parser.add_argument(
-        "--seed", type=_count, default=0, metavar="N", help="seed for the noise and the presses (default: 0)"
+        "--seed", type=_count, default=0, metavar="N", help="random seed for the noise and the presses (default: 0)"
     )
     parser.add_argument(
         "--sensor-seed",

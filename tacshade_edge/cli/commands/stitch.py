@@ -59,9 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="instead of a map, write flange.json: flange_T_sensor and the frame delay, found from overlapping presses",
+        help=(
+            "instead of a map, compute flange_T_sensor and the frame delay from overlapping presses "
+            "and write them to flange.json"
+        ),
     )
-    parser.add_argument("--json", action="store_true", help="print map.json, or flange.json with --find-flange")
+    parser.add_argument("--json", action="store_true", help="print map.json (with --find-flange: flange.json)")
 
 
 def run(args: argparse.Namespace) -> int:

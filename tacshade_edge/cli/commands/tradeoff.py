@@ -39,13 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget-ms",
         type=_milliseconds,
         metavar="MS",
-        help="print the settings of the most accurate profile that processes 99 of 100 frames in contact within MS ms",
+        help=(
+            "print the settings of the most accurate profile "
+            "that needs at most MS milliseconds for 99 of 100 frames in contact"
+        ),
     )
     study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
-        help="time only the shipped profiles and print a report that you can send in; it omits this board's host name",
+        help=(
+            "time only the shipped profiles and print a report that you can send in; "
+            "the report omits this board's host name"
+        ),
     )
     study.add_simulated(parser, SENSORS, "the paper's five")
 

@@ -58,7 +58,7 @@ def make_token(path: Path | None) -> str:
                 stream.write(f"{token}\n")
         except OSError as error:
             raise ConfigError(
-                f"--token-file {path}: {error.strerror}, expected a path where a new token file can be written"
+                f"--token-file {path}: {error.strerror}, expected a path where the dashboard can create the file"
             ) from None
     return token
 

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
         "--images",
         type=Path,
         metavar="DIR",
-        help="folder of images and their ground truth, STEM.npz for an image named STEM",
+        help="folder of images and their ground truth; STEM.npz is the ground truth for an image named STEM",
     )
     parser.set_defaults(usage_error=parser.error)
 

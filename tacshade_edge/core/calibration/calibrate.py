@@ -129,7 +129,7 @@ def calibrate(
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     """The calibration that the references alone give."""
     if not greys:
-        raise ConfigError("found no reference image, expected at least one image of the unloaded skin")
+        raise ConfigError("found no reference image, expected at least one image of the untouched skin")
     for number, grey in enumerate(greys, start=1):
         if grey.shape != greys[0].shape:
             raise ConfigError(

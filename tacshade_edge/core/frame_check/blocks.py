@@ -154,7 +154,7 @@ def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
 
 def light_reason(found: float) -> Reason:
     """Reason for a light that is `found` times the reference's."""
-    text = f"light: found {found:.2f} times the reference's light, expected {LIGHT_LOW} to {LIGHT_HIGH} times"
+    text = f"light: found {found:.2f} times the reference's brightness, expected {LIGHT_LOW} to {LIGHT_HIGH} times"
     return Reason(ReasonCode.LIGHT, text)
 
 

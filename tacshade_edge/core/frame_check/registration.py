@@ -174,7 +174,7 @@ def shift_reason(found: Drift, disc: Disc) -> Reason | None:
     if found.shift_px <= SHIFT_PART * disc.radius_px and found.moved_px <= RIM_PART * disc.radius_px:
         return None
     turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
-    zoomed = f", {100 * (found.zoom - 1):+.1f} % in size" if abs(found.zoom - 1) > 0.005 else ""
+    zoomed = f", scaled by {100 * (found.zoom - 1):+.1f} %" if abs(found.zoom - 1) > 0.005 else ""
     return Reason(ReasonCode.CAMERA_SHIFT, f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}")
 
 

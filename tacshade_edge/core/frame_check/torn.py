@@ -79,7 +79,7 @@ def torn_reason(grey: U8, check: TearCheck | None, camera_px: int) -> Reason | N
     row = torn_row(grey, check) if check else None
     if row is None:
         return None
-    return Reason(ReasonCode.TORN, f"torn: row {row * camera_px} does not fit the rows above it")
+    return Reason(ReasonCode.TORN, f"torn: row {row * camera_px} does not match the rows above it")
 
 
 def torn_row(grey: U8, check: TearCheck) -> int | None:

@@ -57,7 +57,7 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
     twice_area = r1 * c2 - c1 * r2
     if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):
-        raise ConfigError("three points: found points on a line, expected points far apart on the dome's rim")
+        raise ConfigError("three points: found points on one line, expected points far apart on the dome's rim")
     square1, square2 = r1 * r1 + c1 * c1, r2 * r2 + c2 * c2
     row = (square1 * c2 - square2 * c1) / (2 * twice_area)
     col = (square2 * r1 - square1 * r2) / (2 * twice_area)
@@ -65,12 +65,13 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     apart_px = min(math.dist(one, other) for one, other in combinations(points_px, 2))
     if apart_px < LEAST_APART * disc.radius_px:
         raise ConfigError(
-            f"three points: found two points only {apart_px:.0f} px apart, "
+            f"three points: found a distance of only {apart_px:.0f} px between two points, "
             f"expected at least {LEAST_APART:g} times the circle's radius of {disc.radius_px:.0f} px"
         )
     if disc.radius_px < LEAST_RADIUS_PX:
         raise ConfigError(
-            f"three points: found a circle of radius {disc.radius_px:.0f} px, expected at least {LEAST_RADIUS_PX:g} px"
+            f"three points: found a circle with a radius of {disc.radius_px:.0f} px, "
+            f"expected at least {LEAST_RADIUS_PX:g} px"
         )
     if (seen := rim_seen(shape, disc)) < LEAST_RIM_SEEN:
         raise ConfigError(

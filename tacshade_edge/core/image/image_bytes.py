@@ -48,7 +48,7 @@ def decode_image(data: bytes, flags: int) -> U8:
     """
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
-            raise DecodeError(f"cut short after {len(data)} bytes, expected a whole image")
+            raise DecodeError(f"found an image cut short after {len(data)} bytes, expected a whole image")
     size_px = _size_px(data)
     if size_px is None or 0 in size_px:
         raise DecodeError(f"found {len(data)} bytes that are not an image, expected a whole image")

@@ -132,7 +132,7 @@ class ProfileChooser:
         self.standing = Standing(profile, frames, within_ms, kept)
         at = self._ladder.index(profile)
         if kept is False and not self.lowest:
-            text = f"{late} of the latest {frames} frames in contact took over {self.budget_ms:g} ms"
+            text = f"{late} of the latest {frames} frames in contact took more than {self.budget_ms:g} ms"
             return self._step(self._ladder[at + 1], now_s, Reason(ReasonCode.OVER_BUDGET, text))
         if not full:
             return None
@@ -142,7 +142,8 @@ class ProfileChooser:
         if expected_ms > MARGIN * self.budget_ms:
             return None
         text = (
-            f"90 % of {frames} frames took up to {within_ms:.1f} ms; the next profile should take {expected_ms:.1f} ms"
+            f"90 % of {frames} frames took up to {within_ms:.1f} ms; "
+            f"the next more accurate profile should take {expected_ms:.1f} ms"
         )
         return self._step(self._ladder[at - 1], now_s, Reason(ReasonCode.WITHIN_BUDGET, text))
 

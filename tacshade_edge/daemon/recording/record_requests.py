@@ -60,7 +60,9 @@ class RecordRequests(FrameObserver):
         try:
             for path in fix_recordings(folder):
                 _log.warning(
-                    "%s: repaired a recording whose daemon died; the file now ends after the last whole record", path
+                    "%s: repaired a recording that a daemon left unfinished when it died; "
+                    "the file now ends after its last whole record",
+                    path,
                 )
         except DeviceError as error:
             _log.warning("%s", error)

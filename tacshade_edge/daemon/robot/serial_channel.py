@@ -140,7 +140,7 @@ class SerialChannel:
             self._link.notify(PosesMissing(self._missing))
             if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
                 self._gap_logged_ns = now_ns
-                _log.info("lost %d poses so far, judging by their sequence numbers", self._link.counts.poses_lost)
+                _log.info("lost %d poses so far, judging by gaps in the sequence numbers", self._link.counts.poses_lost)
             self._missing, self._gap_sent_ns = 0, now_ns
         sync = self._motion.state()
         if sync.mode != self._sent_sync:

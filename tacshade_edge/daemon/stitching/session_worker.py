@@ -310,7 +310,7 @@ class SessionWorker:
         if session is None:
             raise RefusedError(ReasonCode.NO_SESSION, "the session has ended")
         if len(add.points.points_mm) == 0:
-            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches the sensor")
+            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing is touching the sensor")
         if (pose := self._with_pose(add.frame).pose) is None:
             raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose at the frame's time is unknown")
         added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
@@ -353,5 +353,5 @@ def _refusal(result: Reconstruction) -> Reason | None:
     if not result.valid:
         return Reason(ReasonCode.FRAME_INVALID, f"frame {result.seq}: {result.reason}")
     if not result.contact:
-        return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing touches the sensor")
+        return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing is touching the sensor")
     return None

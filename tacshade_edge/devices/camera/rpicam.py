@@ -216,7 +216,9 @@ class _Stream:
             os.close(records)
             missing = isinstance(error, FileNotFoundError)
             why = (
-                "no such program, expected the one in Debian's package rpicam-apps-lite" if missing else error.strerror
+                "no such program, expected the program from Debian's package rpicam-apps-lite"
+                if missing
+                else error.strerror
             )
             raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
         finally:

@@ -80,12 +80,12 @@ class MqttCaller:
         if (denied := self._denied) is not None:
             found = f"{self._where}: rejects {self._base}/req/{self._verb}: {denied}"
             raise DeviceError(
-                f"{found}; expected access rules (ACL) that allow this user to publish to this topic",
+                f"{found}; change the broker's access rules (ACL) to allow this user to publish to this topic",
                 code=ReasonCode.REFUSED,
             )
         if not answered:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
-            raise DeviceError(f"{found}; expected a running daemon", code=ReasonCode.NO_ANSWER)
+            raise DeviceError(f"{found}; is the daemon running?", code=ReasonCode.NO_ANSWER)
         reply = self._replies[transaction]
         if reply.get("ok") is not True:
             raise DeviceError(str(reply.get("error")))

@@ -56,7 +56,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Cl
             client.tls_set(ca_certs=tls_ca)
         except (OSError, ssl.SSLError) as error:
             raise ConfigError(
-                f"TLS authority {tls_ca}: {error.strerror or error}; expected a PEM file with certificates"
+                f"CA certificate file {tls_ca}: {error.strerror or error}; expected a PEM file with certificates"
             ) from error
     return client
 

@@ -266,7 +266,8 @@ class Outgoing:
             return False
         if not self._reported_too_large:
             text = (
-                "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size); skipped %s, which has %d bytes"
+                "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size), "
+                "so this client skipped %s, which has %d bytes"
             )
             _log.warning(text + "; similar messages are not logged again", self._where, most, self._path(topic), size)
         self._reported_too_large = True

@@ -107,7 +107,7 @@ def test_where_the_picture_and_the_place_do_not_agree(tmp_path: Path, check: Pre
         one.detector.learn_free()
         printer.faults.loses_steps_below_mm = 100.0  # and no touch at all above the least height
         printer.press()
-        with pytest.raises(SafetyStop, match=r"found no touch down to z 6\d"):
+        with pytest.raises(SafetyStop, match=r"found no contact down to z 6\d"):
             one.from_near(100, 100, printer.sensor.tip_z_mm + 2.5)
 
 

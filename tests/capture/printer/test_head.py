@@ -66,7 +66,7 @@ def test_from_a_board_that_restarts_to_the_start(tmp_path: Path) -> None:
         assert one.head.is_free
         one.head.to(80)
         assert not one.head.is_free
-        with pytest.raises(SafetyStop, match=r"sideways move: found z 80.00 mm, expected z 90.00 mm or above"):
+        with pytest.raises(SafetyStop, match=r"sideways move: found z at 80.00 mm, expected z at 90.00 mm or above"):
             one.head.over(100, 100)
 
 

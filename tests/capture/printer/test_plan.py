@@ -33,7 +33,7 @@ def test_a_press_is_recognised_whatever_its_yaw_was() -> None:
         (("square", "", "2", "0", "5", "30", "", "", "", ""), "found yaw, tilt or shear, expected none"),
         (
             ("ball", "6", "9", "0", "0"),
-            "found 9.0 mm of travel after first touch, expected more than 0 mm and at most 6.7",
+            "found 9.0 mm of travel from first touch, expected more than 0 mm and at most 6.7",
         ),
         (("ball", "6", "2", "15", "6"), "found a place 16.2 mm from the skin's axis, expected at most 15.3 mm, the"),
     ],
@@ -47,7 +47,8 @@ def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[st
 def test_the_limits_hold_every_place_however_the_sensor_is_turned() -> None:
     near_the_edge = PrinterFile(x_mm=[0, 220], y_mm=[0, 118], z_mm=[40, 200], start_mm=[110, 110, 90], feed_mm_s=50)
     with pytest.raises(
-        ConfigError, match=r"found a reach of 3.2 mm from the skin's axis, expected at most 3.0 mm, as y_mm"
+        ConfigError,
+        match=r"found a reach of 3.2 mm from the skin's axis, expected at most 3.0 mm, the limit set by y_mm",
     ):
         planned_presses((BALL,), NAMES, SENSOR, near_the_edge)
 

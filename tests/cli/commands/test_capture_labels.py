@@ -239,7 +239,10 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
     ("words", "why"),
     [
         (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both options"),
-        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer as well, expected neither"),
+        (
+            ["--labels", "DIR", "--plan", "PLAN.csv"],
+            "--labels: found --plan or --printer too, expected --labels without them",
+        ),
     ],
 )
 def test_options_that_do_not_go_together(

@@ -56,7 +56,7 @@ def test_a_missing_calibration_is_a_warning_with_the_next_command(folder: Path, 
             "s.yaml:2: source.path: {folder}/absent: found nothing, expected",
         ),
         (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem, expected a PEM"),
-        (GOOD + "mqtt: {ca_file: empty}\n", "s.yaml:3: mqtt: TLS authority {folder}/empty: "),
+        (GOOD + "mqtt: {ca_file: empty}\n", "s.yaml:3: mqtt: CA certificate file {folder}/empty: "),
         (GOOD + "mqtt: {username: a, password_file: absent}\n", "s.yaml:3: mqtt.password_file: {folder}/absent: No"),
         (GOOD + "mqtt: {password_file: s.yaml}\n", "s.yaml:3: mqtt.password_file: found a password without a user"),
         (

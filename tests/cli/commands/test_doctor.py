@@ -60,7 +60,7 @@ def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
     assert (done.returncode, done.stderr) == (EXIT_OK, ""), done.stdout
     assert "fault " not in done.stdout
-    assert "ok       broker round trip  38 KB sent and returned in" in done.stdout
+    assert "ok       broker round trip  a 38 KB message made the round trip in" in done.stdout
 
 
 def test_how_a_finding_is_shown() -> None:

@@ -104,7 +104,7 @@ def test_an_unreadable_image_does_not_stop_the_others(
 ) -> None:
     assert main(words(folder, tmp_path, "cut", "ball", "none")) == 1
     first, second = without_progress(capsys.readouterr().err)
-    assert "cut.png: cut short after 5000 bytes" in first
+    assert "cut.png: found an image cut short after 5000 bytes" in first
     assert "none.png: No such file" in second
     assert list(summary(tmp_path)) == ["ball"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.npz", "summary.json"]
@@ -120,7 +120,7 @@ def test_invalid_images_are_counted_and_named(folder: Path, tmp_path: Path, caps
         other
         == f"tacshade-edge: {folder}/other.png: invalid: size: found 320x220 px, expected the calibration's 320x240 px"
     )
-    assert "cut.png: cut short" in cut
+    assert "cut.png: found an image cut short" in cut
     assert main(words(folder, tmp_path, "ball", "free")) == 0
     assert capsys.readouterr() == (
         f"{tmp_path}: 2 of 2 images reconstructed, 1 in contact, 0 invalid, 0 unreadable\n",

@@ -218,7 +218,7 @@ def test_no_daemon_and_no_broker_are_one_line(
     assert record(tmp_path, "1") == 1
     err = capsys.readouterr().err
     found = f"127.0.0.1:{broker.port}: no answer from sensor tacshade within 3 s"
-    assert err == f"tacshade-edge: {found}, expected a running daemon\n"
+    assert err == f"tacshade-edge: {found}; is the daemon running?\n"
     port = free_port()
     write_settings(tmp_path, port)
     assert record(tmp_path, "1") == 1

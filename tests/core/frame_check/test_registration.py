@@ -63,7 +63,7 @@ def test_a_press_does_not_hide_or_feign_a_move(reference: Look, shift_px: float)
 
 def test_what_is_said_of_a_move() -> None:
     moved = Drift(still_part=1, moved_px=4, row_px=3, col_px=0, turn_deg=-0.5, zoom=1.01)
-    assert text_of(shift_reason(moved, DISC)) == "the image moved by 3.0 px, turned by -0.50 degrees, +1.0 % in size"
+    assert text_of(shift_reason(moved, DISC)) == "the image moved by 3.0 px, turned by -0.50 degrees, scaled by +1.0 %"
     assert shift_reason(Drift(still_part=1, moved_px=0.4, col_px=0.3), DISC) is None
     assert "turned" in text_of(shift_reason(Drift(still_part=1, moved_px=1.5, turn_deg=0.8), DISC))
 

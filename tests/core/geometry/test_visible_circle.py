@@ -64,14 +64,14 @@ def test_whatever_is_clicked_is_refused_or_a_circle_through_it(points: list[tupl
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        ([(10, 10), (100, 100), (190, 190)], "points on a line"),
-        ([(10, 10), (10, 10), (190, 190)], "points on a line"),
-        ([(10, 10), (10, 10), (10, 10)], "points on a line"),
+        ([(10, 10), (100, 100), (190, 190)], "points on one line"),
+        ([(10, 10), (10, 10), (190, 190)], "points on one line"),
+        ([(10, 10), (10, 10), (10, 10)], "points on one line"),
         (
             rim(Disc(240, 320, 200), 0, 20, 180),
-            "two points only 69 px apart, expected at least 0.5 times the circle's radius of 200 px",
+            "a distance of only 69 px between two points, expected at least 0.5 times the circle's radius of 200 px",
         ),
-        (rim(Disc(240, 320, 20), 0, 120, 240), "a circle of radius 20 px, expected at least 33 px"),
+        (rim(Disc(240, 320, 20), 0, 120, 240), "a circle with a radius of 20 px, expected at least 33 px"),
         (rim(Disc(240, -230, 280), -30, 0, 30), "a circle with 19 % of its rim in the image, expected at least 25 %"),
         ([(-1, 10), (100, 100), (190, 10)], "a point at row -1, col 10, expected a point inside the 640x480 px image"),
     ],

@@ -71,7 +71,8 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     assert daemon.active.step(stepped)
     assert daemon.profile == LADDER[1]
     assert caplog.records[-1].getMessage() == (
-        f"profile auto: stepped from {BEST} down to {LADDER[1]}: 7 of the latest 7 frames in contact took over 10000 ms"
+        f"profile auto: stepped from {BEST} down to {LADDER[1]}: "
+        "7 of the latest 7 frames in contact took more than 10000 ms"
     )
     assert caplog.records[-1].levelno == logging.INFO
     daemon.frames(WINDOW_FRAMES, 1.0)

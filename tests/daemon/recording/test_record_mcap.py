@@ -42,7 +42,7 @@ def test_a_recording_in_mcap_and_one_that_was_torn(
     (folder / "000.mcap.part").write_bytes(torn[:-50])  # as if it had been killed
     with caplog.at_level(logging.WARNING):
         RecordRequests.fix(tmp_path)
-    assert "000.mcap: repaired a recording whose daemon died" in caplog.text
+    assert "000.mcap: repaired a recording that a daemon left unfinished when it died" in caplog.text
     recording = Recording(folder)
     assert not recording.cut_off
     frames = [recorded.frame for _ in range(4) if (recorded := recording.read()) is not None]

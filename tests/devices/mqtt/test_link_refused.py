@@ -98,8 +98,8 @@ class TestRefused:
         told = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
         assert len(told) == 1
         assert (
-            f"accepts packets of at most 2000 bytes (mosquitto: max_packet_size); skipped {BASE}/info, which has 30"
-            in told[0]
+            f"accepts packets of at most 2000 bytes (mosquitto: max_packet_size), so this client skipped "
+            f"{BASE}/info, which has 30" in told[0]
         )
 
     @pytest.mark.parametrize("extra", range(-9, 3))

@@ -107,7 +107,7 @@ def test_a_damaged_image_and_one_of_another_size_are_told_and_passed_over(folder
             assert frame is not None
             seen.append(frame.seq)
     assert seen == [0, 2, 4]
-    assert told[0].endswith("0b.png: cut short after 60 bytes, expected a whole image")
+    assert told[0].endswith("0b.png: found an image cut short after 60 bytes, expected a whole image")
     assert told[1].endswith("1b.png: found 64x24 px, expected 64x48 px, the size of the first image")
 
 

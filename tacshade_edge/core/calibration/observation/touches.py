@@ -57,7 +57,9 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
             f"is the skin upright, and are the radii right (skin {skin_radius_mm:g} mm, ball {ball_radius_mm:g} mm)?"
         )
         expected = f"expected at most {_MOST_RMS * skin_radius_mm:.2f} mm"
-        raise ConfigError(f"found touches that miss a sphere by {rms_mm:.2f} mm (RMS), {expected}; {asked}")
+        raise ConfigError(
+            f"found first touches that deviate from a sphere by {rms_mm:.2f} mm (RMS), {expected}; {asked}"
+        )
     return centre, rms_mm
 
 

@@ -45,7 +45,7 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     disc = stated or find_disc(grey)
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
-        expected = f"expected a circle in the {grey.shape[1]}x{grey.shape[0]} px image"
+        expected = f"expected a circle that overlaps the {grey.shape[1]}x{grey.shape[0]} px image"
         raise ConfigError(f"visible_circle: found {found}, {expected}")
     return disc
 

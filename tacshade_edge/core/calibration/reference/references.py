@@ -162,7 +162,8 @@ def rezero(
             raise ConfigError(f"{lead}{shift}; fasten the camera in its old position, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(
-                f"{lead}found {drift.contrast:.2f} times the old contrast, expected at least {_WORN_CONTRAST} times; "
+                f"{lead}found {drift.contrast:.2f} times the old reference's contrast, "
+                f"expected at least {_WORN_CONTRAST} times; "
                 "clean or focus the lens, or calibrate again"
             )
     renewed = with_reference(replace(calibration, crc32=0), greys)

@@ -103,7 +103,8 @@ def test_a_stated_circle_overrules_what_is_seen() -> None:
     stated = Disc(250.0, 310.0, 170.0)
     assert calibrated(sparse_dome(), replace(SENSOR, visible_circle=stated)).geometry.disc == stated
     with pytest.raises(
-        ConfigError, match=r"^visible_circle: found a circle at row 9000, .*, expected a circle in the 640x480 px"
+        ConfigError,
+        match=r"^visible_circle: found a circle at row 9000, .*, expected a circle that overlaps the 640x480 px",
     ):
         calibrated(sparse_dome(), replace(SENSOR, visible_circle=Disc(9000.0, 310.0, 170.0)))
     assert SIZE == (480, 640)

@@ -80,7 +80,10 @@ def test_a_new_reference_keeps_everything_else() -> None:
             [nuisance.shift(unloaded(), 0, 4)] * 3,
             "rejected the reference: the image moved by 4.0 px; .*calibrate again",
         ),
-        ([camera_faults.defocus(unloaded(), 2.5)] * 3, "rejected the reference: found 0.* times the old contrast"),
+        (
+            [camera_faults.defocus(unloaded(), 2.5)] * 3,
+            "rejected the reference: found 0.* times the old reference's contrast",
+        ),
     ],
     ids=["none", "black", "size", "load in the middle", "load", "moved", "blurred"],
 )
