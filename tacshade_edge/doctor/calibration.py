@@ -129,7 +129,7 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)
     noise = f"noise of {renewed.noise_grey:.2f} grey levels, compared with {calibration.noise_grey:.2f} at calibration"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
-        fix = "replace any flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
+        fix = "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
         return warning("sensor", noise, fix)
     return ok(
         "sensor",

@@ -160,7 +160,9 @@ class _Heard(Results):
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
         self._hang_up()
-        return DeviceError(f"{self._where}: {found}; expected a broker that carries {self._base}", code=code)
+        return DeviceError(
+            f"{self._where}: {found}; expected a broker that serves topics under {self._base}/", code=code
+        )
 
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""

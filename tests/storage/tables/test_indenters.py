@@ -44,7 +44,7 @@ def test_every_shape(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("- a\n", ":1: found a list, expected names of indenters"),
+        ("- a\n", ":1: found a list, expected indenter names"),
         ("a: ball\n", ":1: a: found ball, expected a mapping"),
         ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
         ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),

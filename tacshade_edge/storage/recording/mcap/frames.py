@@ -179,7 +179,7 @@ class McapFrames:
             return Row(name, t_ns, None)
         values = [_number(key, value) for key, value in zip(POSE_KEYS, found, strict=True)]
         if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
+            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
         return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
 
 
