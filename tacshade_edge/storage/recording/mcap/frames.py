@@ -158,7 +158,7 @@ class McapFrames:
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages on {shown(self.topic)}, expected the {expected} messages in the file's index"
+            found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the missing messages are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
