@@ -152,7 +152,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """Judge what a source other than a camera delivered: files or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "correct source.path, or the files in it"),)
+        return (fault("source", str(captured.error), "correct source.path or the files that it names"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
         return (fault("source", f"{what}: delivered no image", "choose another source.path"),)

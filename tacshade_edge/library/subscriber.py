@@ -173,7 +173,7 @@ class _Heard(Results):
         )
         reason = self._frames.info.reason
         known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
-        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s, {state}{known}"
+        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {state}{known}"
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
     # -- called by paho, in the caller's thread ----------------------------------------------------------------------

@@ -123,7 +123,7 @@ def test_a_truth_on_a_grid_of_its_own(tmp_path: Path) -> None:
         ),
         (truth(points_mm=np.full((4, 3), np.nan)), "expected finite numbers of shape (N, 3)"),
         (truth(points_mm=np.array(["a"])), "points_mm: found <U1 values of shape (1,), expected numbers"),
-        (truth(height_mm=np.zeros((2, 120, 160))), "height_mm: found float64 of shape (2, 120, 160)"),
+        (truth(height_mm=np.zeros((2, 120, 160))), "height_mm: found float64 values of shape (2, 120, 160)"),
         (truth(step_px=0.0), "step_px: found 0.0, expected a number above 0"),
         (truth(row0=np.array([1.0, 2.0])), "row0: found array([1., 2.]), expected one number"),
         (truth(depth_max_mm=np.nan), "depth_max_mm: found array(nan), expected one number"),
