@@ -221,7 +221,9 @@ class Listener(Iterator[Message]):
             self._came.wait_for(lambda: self._subscribed or self._failure, _FIRST_S)
             if not self._subscribed:
                 text, code = self._failure or ("no answer", ReasonCode.NO_ANSWER)
-                raise DeviceError(f"{self._where}: {text}; expected a broker that carries {self._base}", code=code)
+                raise DeviceError(
+                    f"{self._where}: {text}; expected a broker that serves topics under {self._base}/", code=code
+                )
 
     def _subscribe(self, topics: Collection[str]) -> None:
         # With QoS 1 a broker drops messages beyond its queue's size, and so most of many retained ones.

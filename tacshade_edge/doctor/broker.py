@@ -117,7 +117,9 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Judge whether a daemon is running and whether it is this machine's."""
     if daemon.alive and daemon.rival:
-        found = f"two daemons use {sensor_id}: one is running {daemon.place}, and the other is waiting {daemon.rival}"
+        found = (
+            f"two daemons are using {sensor_id}: one is running {daemon.place}, and the other is waiting {daemon.rival}"
+        )
         return warning("daemon", found, "stop one of the two daemons, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop the other daemon, or give this sensor another sensor_id"
@@ -220,7 +222,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
-        return fault("broker round trip", f"the broker does not let this user subscribe under {base}/", acl)
+        return fault("broker round trip", f"the broker does not let this user subscribe to topics under {base}/", acl)
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
         found = f"the broker accepts packets of at most {most} bytes; the daemon skips larger height maps and clouds"
@@ -236,7 +238,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
         if session.is_refused:
             return fault(
                 "broker round trip",
-                f"the broker does not let this user publish under {base}/ ({session.published})",
+                f"the broker does not let this user publish to topics under {base}/ ({session.published})",
                 acl,
             )
         if not session.echoed:

@@ -58,7 +58,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
         found = (
-            f"{found}; the networks of {', '.join(renew)} have changed since the fit, "
+            f"{found}; the networks for {', '.join(renew)} have changed since the fit, "
             "so the shipped networks are in use"
         )
         return calibration, (warning("calibration", found, fix),)
@@ -114,7 +114,7 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     if found.still_part == 0:
         return ()
     size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
-    place = f"the visible circle has moved {found.shift_px:.1f} px and {size} since calibration"
+    place = f"the visible circle has moved {found.shift_px:.1f} px and {size} since the calibration"
     if registration.shifted_too_far(found, calibration.geometry.disc):
         fix = "the camera has moved inside the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
@@ -129,7 +129,7 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)
     noise = f"noise of {renewed.noise_grey:.2f} grey levels, compared with {calibration.noise_grey:.2f} at calibration"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
-        fix = "use light that does not flicker (mains lamps do), stop whatever shakes the sensor, then calibrate again"
+        fix = "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
         return warning("sensor", noise, fix)
     return ok(
         "sensor",

@@ -82,7 +82,8 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     stable = stable_name(device, machine)
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
         fix = f"set source.device: {stable}"
-        findings.append(warning("camera name", f"{device} may name a different camera after the next plug-in", fix))
+        found = f"{device} may name a different camera after you plug cameras in again"
+        findings.append(warning("camera name", found, fix))
     return (*findings, *_check_offer(source, str(path)))
 
 
@@ -95,7 +96,7 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
     fix = f"set source.camera to a listed camera; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
-    return (fault("camera", f"{PROGRAM} has no camera {source.camera}; it lists {found}", fix),)
+    return (fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),)
 
 
 def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
@@ -115,7 +116,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
         fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
-        return (fault("camera format", f"the camera has no {source.fourcc} mode of {size} px", fix),)
+        return (fault("camera format", f"the camera does not offer {source.fourcc} at {size} px", fix),)
     listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
     if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
         found = f"{source.fourcc} {size} is not available at {source.fps} frames/s"
@@ -151,7 +152,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """Judge what a source other than a camera delivered: files or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "correct source.path, or the files in it"),)
+        return (fault("source", str(captured.error), "correct source.path or the files that it names"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
         return (fault("source", f"{what}: delivered no image", "choose another source.path"),)
@@ -169,7 +170,7 @@ def check_picture(image: U8) -> Finding:
     check = replace(check, saturated_part=SATURATED_PART, flat_std=FLAT_STD)
     reason = invalid_reason(grey, check)
     if not reason:
-        return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")
+        return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, standard deviation {grey.std():.0f}")
     return fault("picture", reason.text, _PICTURE_FIXES.get(reason.code, _PICTURE_FIXES[ReasonCode.NO_CONTRAST]))
 
 
@@ -179,21 +180,21 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
         if error.code is not ReasonCode.IN_USE:
             return None
         if daemon_state:
-            return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
+            return warning("camera frames", f"the daemon is using the camera and reports: {daemon_state}", _STOP)
         fix = f"find and end that program: pgrep -a {PROGRAM.partition('-')[0]}"
-        return fault("camera frames", "another program holds the camera", fix)
+        return fault("camera frames", "another program is using the camera", fix)
     device = source.device
     with contextlib.suppress(TacshadeError):
         if not v4l2_node.is_busy(str(machine.at(device))):
             return None
         daemon, holders = machine.daemon(), machine.holders(device)
         if daemon_state and (daemon in holders or not holders):
-            return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
+            return warning("camera frames", f"the daemon is using the camera and reports: {daemon_state}", _STOP)
         if not holders:
             fix = "run doctor with sudo to find the program, then end that program"
-            return fault("camera frames", "another program holds the camera", fix)
+            return fault("camera frames", "another program is using the camera", fix)
         who = holders[0]
-        return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
+        return fault("camera frames", f"{who} is using the camera", f"end that program: kill {who.pid}")
     return None
 
 
@@ -204,7 +205,7 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
         fix = (
             "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
             if check == "camera frames"
-            else "lower source.fps, or stop whatever else keeps this machine busy"
+            else "lower source.fps, or stop whatever else is keeping this machine busy"
         )
         return warning(check, found, fix)
     if captured.dropped > _LOST_PART * len(captured.t_ns) and check == "camera frames":
@@ -218,10 +219,10 @@ def _check_stamps(captured: Captured) -> Finding:
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found} and out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = "use a camera with the uvcvideo driver, whose kernel time stamps match poses more exactly"
+        fix = "use a camera that runs on the uvcvideo driver, whose kernel time stamps match poses more accurately"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
-        return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")
+        return warning("camera time", found, "stop whatever else is keeping this machine busy, or lower source.fps")
     return ok("camera time", found)
 
 

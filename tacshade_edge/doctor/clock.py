@@ -37,7 +37,9 @@ def judge(now_s: float, installed_s: float, synced: bool | None, resolution_s: f
             "clock", found, f"{keep}; a board without a battery-backed clock loses the time when it is switched off"
         )
     elif synced is False:
-        found = f"{today}, not synchronised: times in messages and recordings may be off; measurements are not affected"
+        found = (
+            f"{today}, not synchronised: times in messages and recordings may be wrong; measurements are not affected"
+        )
         wall = warning("clock", found, keep)
     else:
         known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"

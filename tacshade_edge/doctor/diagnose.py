@@ -124,7 +124,7 @@ def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonS
 
 
 def _no_broker(why: str) -> tuple[Findings, DaemonState]:
-    fix = "is mqtt.host right, is the network up, and is the name server reachable?"
+    fix = "check mqtt.host, the network and the name server"
     return (fault("broker", why, fix),), DaemonState()
 
 

@@ -91,5 +91,5 @@ def permission_fix(path: Path, usual_group: str) -> str:
     if group == "root":  # no group to join: udev's rules are missing
         return "install the udev rules (systemd/install.sh does so), then plug the device in again"
     if user in grp.getgrnam(group).gr_mem:
-        return f"{user} joined the group {group} after the current login; log out and in again"
+        return f"{user} joined the group {group} after logging in; log out and in again"
     return f"sudo usermod -aG {group} {user}, then log out and in again"

@@ -38,7 +38,7 @@ def _no_port() -> Finding:
 
 
 def _unused(port: str, machine: Machine) -> Finding:
-    return ok("serial", f"{_label(port, machine)}: not checked, because the settings have no robot (serial: null)")
+    return ok("serial", f"{_label(port, machine)}: not checked, because the settings name no robot (serial: null)")
 
 
 def _check_ports(machine: Machine) -> tuple[Finding, ...]:
@@ -62,8 +62,8 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
         wrong.append(warning("serial", f"{label}: no permission", permission_fix(path, "dialout")))
     if _is_console(port, machine):
         fix = (
-            f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi also: sudo raspi-config, Interface "
-            "Options, Serial Port, no login shell, then reboot. Do nothing if no robot uses this port"
+            f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi, also turn off the login shell in "
+            "sudo raspi-config (Interface Options, Serial Port) and reboot. If no robot uses this port, change nothing"
         )
         wrong.append(
             warning("serial", f"{label}: the system's console uses this port and would send text to a robot", fix)
@@ -80,8 +80,8 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
         fix = (
-            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to keep it, add this line to "
-            f"/etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
+            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make this permanent, "
+            f"add this line to /etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
         )
         wrong.append(warning("serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix))
     return tuple(wrong) or (ok("serial", f"{label}: the port is free to use"),)

@@ -103,7 +103,8 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         settings = recorded_settings(content_of(path))
         if settings is None or settings.hand_id is None or settings.hand_T_sensor is None:
             raise ConfigError(
-                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a hand's finger"
+                f"{path}: found a recording without hand_T_sensor in its {SETTINGS_NAME}, "
+                "expected a recording of a hand's finger"
             )
         if problem := wrong_with(settings.hand_T_sensor):
             raise ConfigError(f"{path}: {SETTINGS_NAME}: hand_T_sensor: {problem}")

@@ -23,7 +23,7 @@ def read_password(document: Document) -> str | None:
         return None
     where = document.where("mqtt", "password_file")
     if mqtt.username is None:
-        raise ConfigError(f"{where}: found a password without a user name, expected mqtt.username too")
+        raise ConfigError(f"{where}: found a password without a user name, expected both")
     return password_in(mqtt.password_file, where)
 
 
@@ -34,7 +34,7 @@ def password_in(path: str | Path, where: str) -> str:
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"{where}: {path}: {reason}; expected a file with the password") from error
+        raise ConfigError(f"{where}: {path}: {reason}; expected a file that contains the password") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{where}: {path}: found bytes that are not UTF-8, expected a password in UTF-8") from error
     if not password:

@@ -99,7 +99,7 @@ def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> Fi
     train, judge = held_out(presses)
     runs = [_Run(calibration, name, train, judge) for name in ORDER if name in calibration.factors]
     if not runs:
-        raise ConfigError("--fit: the networks find the contact at the indenter in too few presses")
+        raise ConfigError("--fit: the networks find a contact under the indenter in too few presses")
     fitted, reports = {}, []
     for number, run in enumerate(runs):
         _train(run, runs[number + 1 :], f"fit of {run.name} ({number + 1} of {len(runs)})", say)

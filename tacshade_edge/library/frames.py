@@ -60,8 +60,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
             if settings.profile == AUTO:
                 where = document.where("profile")
                 raise ConfigError(
-                    f"{where}: found {AUTO}, which only the daemon supports, "
-                    "expected another profile; alternatively, pass a sensor"
+                    f"{where}: found {AUTO}, expected another profile, "
+                    f"because only the daemon supports {AUTO}; alternatively, pass a sensor"
                 )
             sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):

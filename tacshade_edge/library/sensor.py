@@ -98,7 +98,9 @@ class Sensor:
             Another thread is using the sensor.
         """
         if not self._in_use.acquire(blocking=False):
-            raise ConfigError("sensor: found two threads using one sensor, expected one; load a sensor in each thread")
+            raise ConfigError(
+                "sensor: found two threads using one sensor, expected one thread; load a sensor in each thread"
+            )
         try:
             made = step_and_track(self._reconstructor, tracker, frame)
         finally:

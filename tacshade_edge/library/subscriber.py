@@ -160,7 +160,9 @@ class _Heard(Results):
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
         self._hang_up()
-        return DeviceError(f"{self._where}: {found}; expected a broker that carries {self._base}", code=code)
+        return DeviceError(
+            f"{self._where}: {found}; expected a broker that serves topics under {self._base}/", code=code
+        )
 
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
@@ -171,7 +173,7 @@ class _Heard(Results):
         )
         reason = self._frames.info.reason
         known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
-        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s, {state}{known}"
+        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {state}{known}"
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
     # -- called by paho, in the caller's thread ----------------------------------------------------------------------

@@ -172,7 +172,8 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
             raise DecodeError(
-                f"height/cloud payload: found a point out of range, expected every point within {_MM_MAX:g} mm"
+                "height/cloud payload: found a point out of range, "
+                f"expected every point within {_MM_MAX:g} mm of the origin"
             )
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
@@ -223,7 +224,9 @@ def _check(data: bytes) -> tuple[int, int, int]:
 def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> None:
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
-        raise DecodeError(f"height/cloud payload, byte 36: found {found}, expected places and a step within an image")
+        raise DecodeError(
+            f"height/cloud payload, byte 36: found {found}, expected a row, a column and a step within an image"
+        )
     if not 0 < scale_mm <= 1:
         raise DecodeError(
             f"height/cloud payload, byte 48: found scale_mm {scale_mm:g}, expected a number above 0 and at most 1"
@@ -234,7 +237,8 @@ def _check_pose(pose: tuple[float, ...]) -> None:
     *place, qw, qx, qy, qz = pose
     if not all(abs(mm) <= _MM_MAX for mm in place):
         raise DecodeError(
-            f"height/cloud payload, byte 56: found a position out of range, expected a position within {_MM_MAX:g} mm"
+            "height/cloud payload, byte 56: found a position out of range, "
+            f"expected a position within {_MM_MAX:g} mm of the origin"
         )
     if not abs((norm := math.hypot(qw, qx, qy, qz)) - 1) <= _UNIT_OFF_MAX:
-        raise DecodeError(f"height/cloud payload, byte 68: found a quaternion of length {norm:.4g}, expected 1")
+        raise DecodeError(f"height/cloud payload, byte 68: found a quaternion of length {norm:.4g}, expected length 1")

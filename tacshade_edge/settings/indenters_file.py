@@ -47,7 +47,7 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     value, found, mistakes = strict_yaml.read(path)
     strict_yaml.refuse(mistakes)
     if not isinstance(value, dict):
-        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected names of indenters")
+        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected indenter names")
     schema = msgspec.json.schema(IndenterEntry)
     root: dict[str, Any] = {**schema["$defs"]["IndenterEntry"], "$defs": schema["$defs"]}
     entries = {}

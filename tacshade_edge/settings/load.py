@@ -84,7 +84,7 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
             return document
     ids = ", ".join(document.settings.sensor_id for document in documents)
     if sensor_id is None:
-        raise ConfigError(f"{path}: found several sensors, expected --sensor with one of {ids}")
+        raise ConfigError(f"{path}: found several sensors but no --sensor, expected --sensor with one of {ids}")
     raise ConfigError(f"--sensor: found {shown(sensor_id)}, expected one of {ids} ({path})")
 
 

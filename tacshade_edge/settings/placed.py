@@ -21,5 +21,5 @@ def wrong_with(seven: Sequence[float]) -> str | None:
         return f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"
     norm = math.sqrt(sum(q * q for q in seven[3:]))
     if abs(norm - 1) > _UNIT_TOLERANCE:
-        return f"found a quaternion of length {norm:.4g}, expected 1"
+        return f"found a quaternion of length {norm:.4g}, expected length 1"
     return None

@@ -46,7 +46,8 @@ def require_free(folder: Path, floor_bytes: int | None = None) -> None:
     if free < floor_bytes:
         found, expected = free // 2**20, floor_bytes // 2**20
         raise DeviceError(
-            f"{existing}: found {found} MiB free on the disk, expected at least {expected}", code=ReasonCode.DISK_FULL
+            f"{existing}: found {found} MiB free on the disk, expected at least {expected} MiB",
+            code=ReasonCode.DISK_FULL,
         )
 
 

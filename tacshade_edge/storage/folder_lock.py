@@ -49,7 +49,7 @@ class FolderLock:
                 kind = "file" if file else "folder"
                 self.release()
                 raise DeviceError(
-                    f"{folder / file}: in use by {quoted(holder)}, expected a {kind} that no other program uses",
+                    f"{folder / file}: in use by {quoted(holder)}, expected a {kind} that no other program is using",
                     code=ReasonCode.IN_USE,
                 ) from None
             except OSError:

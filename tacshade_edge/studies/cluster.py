@@ -66,7 +66,7 @@ class Cluster:
         except KilledWorker as error:
             raise DeviceError(f"cluster {self._address}: one job killed {error.allowed_failures + 1} workers") from None
         except CancelledError:
-            raise DeviceError(f"cluster {self._address}: the connection to the scheduler was lost") from None
+            raise DeviceError(f"cluster {self._address}: lost the connection to the scheduler") from None
         except RuntimeError as error:
             if "deserialization" not in str(error):
                 raise
@@ -105,7 +105,7 @@ def connected(address: str) -> Iterator[Cluster]:
         from distributed.versions import VersionMismatchWarning
     except ImportError:
         raise ConfigError(
-            f"--cluster: found no Dask, expected the `cluster` extra: {how_to_install('cluster')}"
+            f"--cluster: found no Dask, which a cluster needs; to install it: {how_to_install('cluster')}"
         ) from None
     # Its log would repeat our one line on several; `AHEAD` bounds what the scheduler holds.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -139,7 +139,7 @@ def _check_versions(found: Mapping[str, Any], address: str) -> None:
         for name in ("python", *DECIDES):
             if (theirs := other["packages"].get(name)) != ours[name]:
                 raise ConfigError(
-                    f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]} as on this machine"
+                    f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]}, as on this machine"
                 )
 
 
@@ -148,7 +148,7 @@ def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) ->
     for name, crc32 in program.items():
         if checksum(name) != crc32:
             raise ConfigError(
-                f"a cluster worker has a different {name} in {_folder(name)}, expected this machine's version"
+                f"cluster worker: found another version of {name} in {_folder(name)}, expected this machine's version"
             )
     cv2.setNumThreads(1)
     return fn(task)

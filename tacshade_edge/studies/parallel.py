@@ -96,7 +96,7 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
         yield pool
         complete = True
     except BrokenProcessPool:
-        raise DeviceError("a worker process was killed (out of memory?)") from None
+        raise DeviceError("the system killed a worker process, perhaps because memory ran out") from None
     finally:
         if not complete:  # nobody needs the unfinished jobs
             for worker in multiprocessing.active_children():

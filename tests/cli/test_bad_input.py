@@ -116,7 +116,7 @@ KEYS = "expected one of sensor_id, calibration, profile"
         ),
         (
             {"source": "kind: files, path: good.npz"},
-            "s.yaml:2: source.path: {folder}/good.npz: found no video that OpenCV can read, expected a folder",
+            "s.yaml:2: source.path: {folder}/good.npz: found a file that OpenCV cannot read, expected a video file",
         ),
         (
             {"calibration": "cut.npz"},

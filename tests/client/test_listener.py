@@ -125,7 +125,7 @@ def test_with_tls_and_a_user(tmp_path: Path) -> None:
 
 def test_an_absent_broker_is_one_line_at_once() -> None:
     began_s = time.monotonic()
-    with pytest.raises(tc.DeviceError, match=r"refused; expected a broker that carries tacshade/left$"):
+    with pytest.raises(tc.DeviceError, match=r"refused; expected a broker that serves topics under tacshade/left/$"):
         tc.listen(f"127.0.0.1:{free_port()}", "left")
     assert time.monotonic() - began_s < patience(5)
 

@@ -107,7 +107,8 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            assert finding.found == f"two daemons use left: one is running {place}, and the other is waiting {waiting}"
+            expected = f"two daemons are using left: one is running {place}, and the other is waiting {waiting}"
+            assert finding.found == expected
         else:
             wait_until(lambda: health("right")["frames"]["captured"] > 10, 30, "the second works too")
         if same_folder:

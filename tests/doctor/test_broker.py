@@ -128,7 +128,7 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
         assert "mqtt.username" in nobody.fix
         denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
         assert denied.state == "fault"
-        assert denied.found.startswith(f"the broker does not let this user publish under {BASE}/")
+        assert denied.found.startswith(f"the broker does not let this user publish to topics under {BASE}/")
         assert "user guest, then topic readwrite" in denied.fix
 
 
@@ -141,7 +141,7 @@ def test_the_rules_as_shipped_and_another_name_than_the_sensors(tmp_path: Path) 
     with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
         denied = ask(broker.port, username="hand", password="right")[0]["broker round trip"]
     assert denied.state == "fault"
-    assert denied.found == f"the broker does not let this user publish under {BASE}/ (Not authorized)"
+    assert denied.found == f"the broker does not let this user publish to topics under {BASE}/ (Not authorized)"
 
 
 @broker_test

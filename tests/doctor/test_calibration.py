@@ -136,7 +136,7 @@ def test_the_file(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF), layout="another"))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"
-    assert "the networks of balanced have changed since the fit" in finding.found
+    assert "the networks for balanced have changed since the fit" in finding.found
     assert "--fit" in finding.fix
     config.write_text("calibration: c.npz\n")
     known, (finding,) = load(load_settings(config))

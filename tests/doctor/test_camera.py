@@ -43,7 +43,7 @@ def test_a_good_camera(machine: Any) -> None:
         "time stamps: kernel; frames up to 20 ms old",
         "exposure: locked at 157",
         "white balance: locked",
-        "160x120 px, mean grey 64, deviation 68",
+        "160x120 px, mean grey 64, standard deviation 68",
     ]
 
 

@@ -76,13 +76,13 @@ def test_csi_cameras_are_listed_by_the_boards_program(
     (good,) = check_csi(Rpicam())
     assert (good.state, good.found) == ("ok", f"camera 0 of rpicam-vid: {name}")
     (other,) = check_csi(Rpicam(camera=1))
-    assert (other.state, other.found) == ("fault", f"rpicam-vid has no camera 1; it lists 0 ({name})")
+    assert (other.state, other.found) == ("fault", f"rpicam-vid does not list camera 1; it lists 0 ({name})")
 
 
 def test_a_csi_camera_that_is_held(machine: Any) -> None:
     held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
     (finding,) = check_frames(Rpicam(), held, machine, "streaming")
-    assert (finding.state, finding.found) == ("warning", "the running daemon holds the camera; it reports: streaming")
+    assert (finding.state, finding.found) == ("warning", "the daemon is using the camera and reports: streaming")
     assert check_frames(Rpicam(), held, machine, "")[0].state == "fault"
 
 

@@ -48,7 +48,7 @@ def test_a_port_is_no_problem_where_no_robot_is_configured(machine: Any) -> None
     (finding,) = check_serial(machine, None)
     assert finding.state == "ok"
     assert finding.found == (
-        f"/dev/ttyUSB0, best named {BY_ID}: not checked, because the settings have no robot (serial: null)"
+        f"/dev/ttyUSB0, best named {BY_ID}: not checked, because the settings name no robot (serial: null)"
     )
 
 

@@ -71,7 +71,7 @@ def test_the_offer_is_the_drivers() -> None:
     by_format = check_device(asked(fourcc="MJPG"), MACHINE)[-1]
     assert (by_format.state, by_format.fix) == ("fault", "set source.fourcc: YUYV or NV12 or GREY")
     by_size = check_device(asked(width_px=648), MACHINE)[-1]
-    assert (by_size.state, by_size.found) == ("fault", "the camera has no YUYV mode of 648x480 px")
+    assert (by_size.state, by_size.found) == ("fault", "the camera does not offer YUYV at 648x480 px")
     for size in ("320x180", "640x360", "640x480", "1280x720"):
         assert (f"Discrete {size}" in listed.stdout) is (size in by_size.fix)
     by_rate = check_device(asked(fps=120), MACHINE)[-1]
@@ -136,7 +136,7 @@ def test_held_by_the_daemon(tmp_path: Path) -> None:
         assert found.pid == daemon.pid
         _, (finding,) = frames(GOOD, "online, 25.0 frames/s")
         assert finding.state == "warning"
-        assert finding.found == "the running daemon holds the camera; it reports: online, 25.0 frames/s"
+        assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"
         daemon.kill()
 
 

@@ -31,11 +31,11 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     for paths, expected in (
         (
             (thumb, alone),
-            r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a hand's finger",
+            r"alone: found a recording without hand_T_sensor in its settings\.yaml, expected a recording of a hand",
         ),
         ((thumb, other), "other: found recordings of the hands left, right, expected recordings of one hand"),
         ((thumb, thumb), "found a second recording of left-thumb, expected one recording per finger"),
-        ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected 1"),
+        ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected length 1"),
         (str(index), "recordings: found .*, expected a list of paths"),
         ((), "recordings: found .*, expected a list of paths"),
     ):

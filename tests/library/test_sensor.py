@@ -124,5 +124,7 @@ def test_one_sensor_in_several_threads_gives_right_results_or_refuses(sensor: ts
     for thread in threads:
         thread.join()
     assert wrong == []
-    assert set(refused) == {"sensor: found two threads using one sensor, expected one; load a sensor in each thread"}
+    assert set(refused) == {
+        "sensor: found two threads using one sensor, expected one thread; load a sensor in each thread"
+    }
     np.testing.assert_array_equal(sensor.reconstruct(images[0]).height_mm, expected[0])

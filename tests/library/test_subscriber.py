@@ -28,7 +28,9 @@ def test_a_wrong_address_is_told(broker: str) -> None:
 def test_a_wrong_name_and_an_absent_broker_are_told() -> None:
     with pytest.raises(ts.ConfigError, match="expected the sensor_id"):
         ts.listen("localhost", "tacshade/+")
-    with pytest.raises(ts.DeviceError, match="Connection refused; expected a broker that carries tacshade/drawn"):
+    with pytest.raises(
+        ts.DeviceError, match="Connection refused; expected a broker that serves topics under tacshade/drawn/"
+    ):
         ts.listen(f"127.0.0.1:{free_port()}", "drawn")
 
 
@@ -79,7 +81,7 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
         hand.publish_info("fast", profiles=("fast",), missing=missing)
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
-            said = "tacshade/drawn: no result for 1 s, the sensor's state is online; not calibrated: found no file"
+            said = "tacshade/drawn: no result for 1 s; the sensor's state is online; not calibrated: found no file"
             with pytest.raises(ts.DeviceError, match=said):
                 next(results)
         with (

@@ -50,7 +50,9 @@ def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
     assert load(path, "index").settings.sensor_id == "index"
     assert load(path, "index").where("source", "camera") == f"{path}:8: sensors.index.source.camera"
     assert load(path, "thumb").where("mqtt", "host") == f"{path}:2: mqtt.host"
-    with pytest.raises(ConfigError, match="found several sensors, expected --sensor with one of thumb, index"):
+    with pytest.raises(
+        ConfigError, match="found several sensors but no --sensor, expected --sensor with one of thumb, index"
+    ):
         load(path)
     with pytest.raises(ConfigError, match=r"--sensor: found ring, expected one of thumb, index \("):
         load(path, "ring")

@@ -35,7 +35,7 @@ def test_a_folder_has_one_owner_and_says_who(tmp_path: Path) -> None:
 
 def test_one_file_alone_has_an_owner(tmp_path: Path) -> None:
     lock = FolderLock(tmp_path, "sensor left", file="a.npz")
-    with pytest.raises(DeviceError, match=r"a\.npz: in use by .*, expected a file that no other program uses"):
+    with pytest.raises(DeviceError, match=r"a\.npz: in use by .*, expected a file that no other program is using"):
         FolderLock(tmp_path, "sensor right", file="a.npz")
     FolderLock(tmp_path, "sensor right", file="b.npz").release()
     FolderLock(tmp_path, "sensor right").release()

@@ -128,5 +128,5 @@ def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_the_extra_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dask", None)
-    with pytest.raises(ConfigError, match=r"found no Dask, expected the `cluster` extra: pip install"):
+    with pytest.raises(ConfigError, match=r"found no Dask, which a cluster needs; to install it: pip install"):
         workers("tcp://127.0.0.1:8786").__enter__()

@@ -188,7 +188,7 @@ def flipped_bit(cell: Cell) -> Seen:
     path.write_bytes(data)
     began_s = time.monotonic()
     cell.start()
-    detected_s = cell.told("are damaged or cut short", began_s)
+    detected_s = cell.told("are damaged or incomplete", began_s)
     found = cell.presses(1)
     assert found >= count - 1, (found, count)
     assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == data

@@ -262,7 +262,7 @@ class ClockSync:
             late_ns = min(robot_ns + delay_ns - line.local(robot_ns).t_ns for robot_ns, delay_ns in latest)
             if late_ns > LATE_NS and self._two_way is None:
                 newest_ns = self._newest_ns
-                text = "the robot's clock was set back, or its line became slow"
+                text = "the robot's clock was set back, or the serial line became slow"
                 self.restart(Reason(ReasonCode.CLOCK_LATE, text))
                 self._buckets.extend(latest)
                 self._newest_ns = newest_ns

@@ -65,7 +65,7 @@ def parse_line(raw: bytes) -> Line | Reason:
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(
             ReasonCode.NOT_A_LINE,
-            f"found unprintable or too many bytes, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
+            f"found an unprintable or overlong line, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
         )
     text, star, digits = raw.decode("ascii").rpartition("*")
     if not star:

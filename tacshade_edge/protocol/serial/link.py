@@ -161,7 +161,7 @@ class SerialLink:
             self.counts.echoes += 1
         elif self._session.crc_required and not line.checked:
             self.counts.damaged += 1
-            text = "found no checksum, expected one because HELLO asked for it"
+            text = "found no checksum, expected one, because HELLO asked for checksums"
             self._output.refuse(None, Reason(ReasonCode.BAD_CHECKSUM, text))
         elif line.verb == "POSE":
             try:

@@ -85,5 +85,5 @@ def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSampl
         raise DecodeError(f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the origin")
     norm = math.sqrt(w * w + i * i + j * j + k * k)
     if not abs(norm - 1) <= UNIT_TOLERANCE:
-        raise DecodeError(f"found a quaternion of length {norm:.4g}, expected 1")
+        raise DecodeError(f"found a quaternion of length {norm:.4g}, expected length 1")
     return PoseSample(seq, t_ns, (x, y, z, w / norm, i / norm, j / norm, k / norm))

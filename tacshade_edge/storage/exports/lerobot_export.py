@@ -86,12 +86,14 @@ class LeRobotExport:
         if not self._features:
             self._features = _features(image, row, self._touch_names)
         if self._features[IMAGE]["shape"] != list(image.shape):
-            raise ConfigError(f"{name}: found {image.shape[1]}x{image.shape[0]} px, expected the first image's size")
+            raise ConfigError(
+                f"{name}: found the size {image.shape[1]}x{image.shape[0]} px, expected the first image's size"
+            )
         if (STATE in self._features) != (STATE in row):
             found, expected = ("a pose", "none") if STATE in row else ("no pose", "one")
             raise ConfigError(
-                f"{name}: found {found}, expected {expected} as in the first frame: "
-                "LeRobot needs poses in all frames or none"
+                f"{name}: found {found}, expected {expected}, as in the first frame; "
+                "LeRobot needs poses in all frames or in none"
             )
         for key, value in row.items():
             self._stats.setdefault(key, _Spread()).add(value[None])

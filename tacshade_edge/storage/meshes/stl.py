@@ -92,5 +92,5 @@ def _ascii(path: Path, data: bytes) -> F64:
                 raise DecodeError(f"{path}:{number}: found a facet with {in_facet} corners, expected 3")
             in_facet = 0
     if in_facet:
-        raise DecodeError(f"{path}: found the end of the file within a facet, expected the line endfacet")
+        raise DecodeError(f"{path}: found the end of the file within a facet, expected an endfacet line first")
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)

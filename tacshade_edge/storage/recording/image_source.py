@@ -145,7 +145,7 @@ class FilesSource:
         if self._size is None:
             self._size = (height, width)
         if self._size != (height, width):
-            expected = f"{self._size[1]}x{self._size[0]} px, the size of the first image"
+            expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
             raise DecodeError(
                 f"{item if isinstance(item, Path) else self._path}: found {width}x{height} px, expected {expected}"
             )
@@ -204,11 +204,11 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
     os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not video.isOpened():
-        raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
+        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
     width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX:
         raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side")
     if not video.grab():
-        raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
+        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
     video.set(cv2.CAP_PROP_POS_FRAMES, 0)
     return [], video

@@ -192,7 +192,9 @@ class Recording:
                 yield Row(str(index), round(index * self._period_ns), None), image
             elif index == len(rows) or rows[index].image != str(index):
                 found = f"frame {rows[index].image!r} in row {index + 1}" if index < len(rows) else f"{index} rows"
-                raise ConfigError(f"{self._table}: found {found}, expected one row per video frame, numbered from 0")
+                raise ConfigError(
+                    f"{self._table}: found {found}, expected one row per video frame, with frames numbered from 0"
+                )
             else:
                 yield rows[index], image
             index += 1

@@ -79,7 +79,9 @@ def _height_figures(folder: Path, against: Path, places: list[str]) -> str:
     for place, *pair in zip(places, payloads(folder, HEIGHTS), payloads(against, HEIGHTS), strict=False):
         one, two = (wire.decode(payload) for payload in pair)
         if not isinstance(one, wire.HeightMessage) or not isinstance(two, wire.HeightMessage):
-            raise DecodeError(f"{folder / HEIGHTS} or {against / HEIGHTS}: found other payloads, expected height maps")
+            raise DecodeError(
+                f"{folder / HEIGHTS} or {against / HEIGHTS}: found payloads of another kind, expected height maps"
+            )
         grids = [(m.row0, m.col0, m.step_px, *m.height_mm.shape) for m in (one, two)]
         if grids[0] != grids[1]:
             return f"height_mm: on other cells in {place}, so not compared cell by cell"

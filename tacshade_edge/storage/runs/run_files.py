@@ -127,7 +127,9 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
             f"{path}: the file is not valid JSON: {error}; expected a run written by `replay --out`"
         ) from None
     if not (isinstance(records, list) and all(isinstance(r, dict) and "seq" in r for r in records)):
-        raise DecodeError(f"{path}: found other JSON, expected the summary of a run written by `replay --out`")
+        raise DecodeError(
+            f"{path}: found JSON of another form, expected the summary of a run written by `replay --out`"
+        )
     return records
 
 

@@ -131,7 +131,7 @@ class StitchFile:
                 write_whole(path, b"".join(data[start:end] for _, _, start, end in found))
                 sync(folder)
                 _log.warning(
-                    "%s: %d bytes are damaged or cut short; "
+                    "%s: %d bytes are damaged or incomplete; "
                     "continuing with %d whole presses and keeping the old file as %s",
                     *(path, lost, len(found), beside.name),
                 )

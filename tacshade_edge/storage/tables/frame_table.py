@@ -149,7 +149,7 @@ def _row(where: str, columns: list[str]) -> Row:
         raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7 values, expected all or none")
     values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
     if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
     return Row(name, int(time), Pose(int(time), *values), int(error or "0"))
 
 

@@ -81,6 +81,6 @@ def _mesh(path: Path, name: str, where: str) -> Indenter:
         raise ConfigError(f"{where}: {name}.file: {error}") from None
     size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
     if not _LEAST_MM <= size_mm <= _MOST_MM:
-        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm, because lengths in an STL file are taken as mm"
-        raise ConfigError(f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g}, {expected}")
+        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm, because tacshade-edge reads lengths in STL files as mm"
+        raise ConfigError(f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g} mm, {expected}")
     return shapes.mesh(name, triangles_mm)

@@ -51,7 +51,7 @@ def _posed(path: Path, where: str, row: list[str]) -> PosedImage:
     values = [number(where, column, text) for column, text in zip(HEADER[1:], row[1:], strict=True)]
     norm = math.hypot(*values[3:])
     if abs(norm - 1) > _UNIT:
-        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
     if not row[0]:
         raise ConfigError(f"{where}: image: found nothing, expected a file name")
     return PosedImage(where, path.parent / row[0], from_seven(values))

@@ -57,6 +57,7 @@ def _press(where: str, row: list[str]) -> Press:
         shape = OBJECTS[indenter]()
     else:
         raise ConfigError(
-            f"{where}: indenter: found {quoted(indenter)}, expected ball, or another object without a radius_mm"
+            f"{where}: indenter: found {quoted(indenter)}, "
+            "expected ball, or another object with no radius_mm in its row"
         )
     return Press(shape, x_mm, y_mm, depth_mm, rotation_deg=yaw_deg)

@@ -84,7 +84,8 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     indenter = None if name == BALL else indenters[name]
     if indenter is not None and row["radius_mm"].strip():
         raise ConfigError(
-            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected none, as INDENTERS.yaml states the radius"
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, "
+            "expected nothing, because INDENTERS.yaml states the radius"
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):

@@ -91,7 +91,9 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
         top = float(np.nanmax(height, initial=0.0))
     depth_max = _number(path, content, "depth_max_mm", top)
     if len(points) and not depth_max > 0:
-        raise DecodeError(f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected more than 0")
+        raise DecodeError(
+            f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected more than 0 mm"
+        )
     name = str(content["object"]) if "object" in content else path.stem
     return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step), name
 
@@ -112,7 +114,8 @@ def _array(path: Path, content: dict[str, Any], key: str, dimensions: int) -> An
     array = content[key]
     if array.ndim != dimensions or array.dtype.kind not in "bfiu":
         raise DecodeError(
-            f"{path}: {key}: found {array.dtype} of shape {array.shape}, expected numbers in {dimensions} dimensions"
+            f"{path}: {key}: found {array.dtype} values of shape {array.shape}, "
+            f"expected numbers in {dimensions} dimensions"
         )
     return array
 

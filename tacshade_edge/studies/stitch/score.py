@@ -124,7 +124,7 @@ def read_known(path: Path) -> KnownSurface:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
     except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigError(
-            f"{path}: the file is not a known surface: {error}; expected z_mm, x0_mm, y0_mm, step_mm"
+            f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
         ) from None
     if raster.z_mm.ndim != 2 or not raster.step_mm > 0 or not np.isfinite(raster.z_mm).any():
         found = f"z_mm of shape {raster.z_mm.shape} at steps of {raster.step_mm:g} mm"

@@ -48,7 +48,7 @@ def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
     assert len(seal(longest)) == LINE_BYTES_MAX
     assert isinstance(parse_line(seal(longest)[:-1]), Line)
     too_long = Reason(
-        ReasonCode.NOT_A_LINE, "found unprintable or too many bytes, expected at most 255 printable ASCII characters"
+        ReasonCode.NOT_A_LINE, "found an unprintable or overlong line, expected at most 255 printable ASCII characters"
     )
     assert parse_line(seal(longest + "x")[:-1]) == too_long
 
@@ -94,8 +94,8 @@ def test_poses_come_back(seq: int, t_ns: int, xyz: tuple[float, ...], q: tuple[f
         ("1 0 1_0 0 1 0 0 0", "'1_0', expected a number"),
         ("1 0 1e9 0 1 0 0 0", "expected a position within"),
         ("1 0 1e999 0 1 0 0 0", "expected a position within"),
-        ("1 0 0 0 1 1 0 0", "a quaternion of length 1.414, expected 1"),
-        ("1 0 0 0 0 0 0 0", "a quaternion of length 0, expected 1"),
+        ("1 0 0 0 1 1 0 0", "a quaternion of length 1.414, expected length 1"),
+        ("1 0 0 0 0 0 0 0", "a quaternion of length 0, expected length 1"),
     ],
 )
 def test_a_pose_that_is_none(args: str, why: str) -> None:

@@ -192,7 +192,9 @@ def test_the_answer_to_a_session_that_is_over_is_not_given() -> None:
 def test_checksums_once_required() -> None:
     desk = Desk()
     desk.send(seal("#1 HELLO 1 crc=req"))
-    assert desk.send(b"#2 CAPTURE\n") == ["ERR - CRC found no checksum, expected one because HELLO asked for it"]
+    assert desk.send(b"#2 CAPTURE\n") == [
+        "ERR - CRC found no checksum, expected one, because HELLO asked for checksums"
+    ]
     assert desk.send(b"POSE 1 0 0 0 1 0 0 0\n")[0].startswith("ERR - CRC")
     assert (desk.done, desk.poses) == ([], [])
     assert desk.send(seal("#2 CAPTURE")) == ["OK 2 name=done-1"]
@@ -252,7 +254,7 @@ def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
 def test_bad_poses_are_told_once_a_second() -> None:
     desk = Desk()
     bad = b"#5 POSE 1 0 0 0 9 0 0 0\n"
-    assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found a quaternion of length 9, expected 1"]
+    assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found a quaternion of length 9, expected length 1"]
     assert desk.send(bad, 999_999_999) == []
     assert len(desk.send(bad, 1_000_000_000)) == 1
     assert desk.link.counts.poses_bad == 12

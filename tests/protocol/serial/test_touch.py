@@ -104,11 +104,11 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     refused = too_slow(TouchAsked(LONGEST, 60), 9600)
     assert refused is not None
     assert refused.text == (
-        "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s, 90 % of 9600 baud: "
+        "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s (90 % of 9600 baud); "
         "use a RATE of at most 4, fewer names or a faster line"
     )
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None
     assert too_slow(TouchAsked(LONGEST, 5), 9600) is not None
     slowest = too_slow(TouchAsked(LONGEST, 1), 110)
     assert slowest is not None
-    assert slowest.text.endswith("90 % of 110 baud: use fewer names or a faster line")
+    assert slowest.text.endswith("90 % of 110 baud); use fewer names or a faster line")

@@ -108,7 +108,7 @@ def test_a_damaged_image_and_one_of_another_size_are_told_and_passed_over(folder
             seen.append(frame.seq)
     assert seen == [0, 2, 4]
     assert told[0].endswith("0b.png: found an image cut short after 60 bytes, expected a whole image")
-    assert told[1].endswith("1b.png: found 64x24 px, expected 64x48 px, the size of the first image")
+    assert told[1].endswith("1b.png: found 64x24 px, expected 64x48 px, the first image's size")
 
 
 def test_the_size_of_the_first_image(folder: Path, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_list_of_videos_is_none(name: str, tmp_path: Path) -> None:
         for part in ("part.avi", f"http://127.0.0.1:{server.getsockname()[1]}/part.avi"):
             for text in (f"#EXTM3U\n#EXTINF:1,\n{part}\n#EXT-X-ENDLIST\n", f"ffconcat version 1.0\nfile {part}\n"):
                 (tmp_path / name).write_text(text)
-                with pytest.raises(ConfigError, match="no video that OpenCV can read"):
+                with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
                     first_size_px(tmp_path / name)
         with pytest.raises(BlockingIOError):
             server.accept()

@@ -116,7 +116,7 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="found no image"):
         Recording(tmp_path / "empty")
-    with pytest.raises(ConfigError, match="found no video that OpenCV can read"):
+    with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
         Recording(folder / "frames.csv")
     with pytest.raises(
         ConfigError, match=r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps"

@@ -80,7 +80,11 @@ def test_damage_is_told(tmp_path: Path) -> None:
         heights.write_bytes(whole[:size])
         with pytest.raises(DecodeError, match=rf"heights\.bin: cut short after {size} bytes"):
             list(payloads(tmp_path, HEIGHTS))
-    for text, said in (("{", "not valid JSON"), ("[1]", "found other JSON"), ("{}", "found other JSON")):
+    for text, said in (
+        ("{", "not valid JSON"),
+        ("[1]", "found JSON of another form"),
+        ("{}", "found JSON of another form"),
+    ):
         (tmp_path / SUMMARY).write_text(text)
         with pytest.raises(DecodeError, match=said):
             read_summary(tmp_path)

@@ -85,7 +85,7 @@ def test_a_flipped_bit_costs_one_press(
         file, found = StitchFile.resume(tmp_path / "one")
     expected = [pose.translation_mm.tolist() for k, pose in enumerate(POSES) if k != press]
     assert [pose.translation_mm.tolist() for _, pose in found] == expected
-    assert f"{one_press} bytes are damaged or cut short" in caplog.text
+    assert f"{one_press} bytes are damaged or incomplete" in caplog.text
     assert f"continuing with 2 whole presses and keeping the old file as {PRESSES}.damaged-1" in caplog.text
     assert (tmp_path / "one" / f"{PRESSES}.damaged-1").read_bytes() == data
     file.append(POINTS[press], POSES[press])

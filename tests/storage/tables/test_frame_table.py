@@ -25,7 +25,7 @@ from tacshade_edge.types import Pose
         ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than the previous row's 5"),
         ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7 values, expected all or none"),
         ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
-        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected 1"),
+        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected length 1"),
     ],
 )
 def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:

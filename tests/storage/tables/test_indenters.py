@@ -44,7 +44,7 @@ def test_every_shape(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("- a\n", ":1: found a list, expected names of indenters"),
+        ("- a\n", ":1: found a list, expected indenter names"),
         ("a: ball\n", ":1: a: found ball, expected a mapping"),
         ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
         ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),
@@ -73,7 +73,7 @@ def test_a_wrong_file_is_told_by_line_and_key(tmp_path: Path, text: str, said: s
 def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "own: {shape: mesh, file: own.stl}\n")
     (tmp_path / "own.stl").write_text(STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005"))
-    with pytest.raises(ConfigError, match=r":1: own\.file: .*a largest dimension of 0.004, expected 0.5 to 500 mm"):
+    with pytest.raises(ConfigError, match=r":1: own\.file: .*a largest dimension of 0.004 mm, expected 0.5 to 500 mm"):
         read_indenters(path)
 
 

@@ -28,8 +28,8 @@ def test_lines_become_poses(tmp_path: Path) -> None:
         ("a.png,1,2,3,1,0,0", "found 7 columns, expected 8"),
         ("a.png,1,2,x,1,0,0,0", "z_mm: found 'x', expected a number"),
         ("a.png,1,2,nan,1,0,0,0", "z_mm: found 'nan'"),
-        ("a.png,1,2,3,0,0,0,0", "found a quaternion of length 0, expected 1"),
-        ("a.png,1,2,3,1,1,0,0", "found a quaternion of length 1.414, expected 1"),
+        ("a.png,1,2,3,0,0,0,0", "found a quaternion of length 0, expected length 1"),
+        ("a.png,1,2,3,1,1,0,0", "found a quaternion of length 1.414, expected length 1"),
         (",1,2,3,1,0,0,0", "image: found nothing"),
     ],
 )

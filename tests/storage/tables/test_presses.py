@@ -63,7 +63,9 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     assert (solid.yaw_deg, solid.tilt_x_deg, solid.tilt_y_deg) == (30.0, -4.0, 5.5)
     assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
     for row, said in {
-        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected none, as INDENTERS.yaml states the radius",
+        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": (
+            "radius_mm: found '4', expected nothing, because INDENTERS.yaml states the radius"
+        ),
         "a.png,flat,,2,,,0,0,0,0,0": (
             "x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         ),

@@ -45,5 +45,5 @@ def require_mcap() -> None:
         import foxglove_schemas_protobuf  # noqa: F401
         import mcap.reader  # noqa: F401
     except ImportError as error:
-        found = f"found no package {error.name}, which MCAP needs"
+        found = f"found no package {error.name}, which MCAP files need"
         raise ConfigError(f"{found}; to install it: {how_to_install('mcap')}") from None

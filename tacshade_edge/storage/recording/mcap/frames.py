@@ -158,7 +158,7 @@ class McapFrames:
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages on {shown(self.topic)}, expected the {expected} messages in the file's index"
+            found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the missing messages are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
@@ -179,7 +179,7 @@ class McapFrames:
             return Row(name, t_ns, None)
         values = [_number(key, value) for key, value in zip(POSE_KEYS, found, strict=True)]
         if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
+            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
         return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
 
 

@@ -76,7 +76,7 @@ def image_of(schema: str, encoding: str, payload: bytes) -> U8:
     DecodeError
     """
     if (schema, encoding) not in DECODERS:
-        raise DecodeError(f"found {quoted(schema)} encoded as {quoted(encoding)}, expected an image")
+        raise DecodeError(f"found a {quoted(schema)} message encoded as {quoted(encoding)}, expected an image message")
     try:
         return DECODERS[schema, encoding](payload)
     except ProtobufError as error:

@@ -98,7 +98,7 @@ class McapFile:
                 yield from self._records_at(place)
             except _DAMAGED as error:
                 what = "chunk" if place.kind == Kind.CHUNK else "record"
-                found = f"{self._name}: the {what} at byte {place.body - HEAD.size} is damaged; skipping it: {error}"
+                found = f"{self._name}: skipping the damaged {what} at byte {place.body - HEAD.size}: {error}"
                 yield Damage(DecodeError(found))
             if self._unpacked > self._unpacked_max:
                 found = f"{self._name}: skipping the data after byte {place.end}: found more than "

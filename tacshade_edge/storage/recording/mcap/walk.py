@@ -99,7 +99,7 @@ def places(file: ByteFile, name: str, summary: Summary | None) -> Iterator[Place
 
 
 def _damage(name: str, begin: int, end: int, why: str) -> Damage:
-    return Damage(DecodeError(f"{name}: bytes {begin} to {end} are damaged; skipping them: {why}"))
+    return Damage(DecodeError(f"{name}: skipping the damaged bytes {begin} to {end}: {why}"))
 
 
 def _is_private(file: ByteFile, at: int, head: tuple[int, int], summary: Summary | None) -> bool:

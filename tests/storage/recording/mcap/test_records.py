@@ -65,7 +65,7 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
         times, told = read(tmp_path / "a.mcap", file_of(one + good))
         assert times == [5]
         assert len(told) == 1
-        assert "the chunk at byte 25 is damaged; skipping it" in told[0]
+        assert "skipping the damaged chunk at byte 25" in told[0]
         assert told[0].isprintable()
 
 
@@ -181,4 +181,4 @@ def test_attachments(tmp_path: Path) -> None:
         path.write_bytes(flipped(whole, whole.index(b"12345678") - 8 + bit // 8, bit % 8))
         found, told = attachments_in(path, {"a": 100, "b": 100})
         assert found == {"a": b"last"}
-        assert "damaged; skipping" in told[0]
+        assert "skipping the damaged" in told[0]
