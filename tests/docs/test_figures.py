@@ -116,14 +116,14 @@ def readme() -> Claims:
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
     presses = real.cell("frames", *depth)
     yield (
-        f"**{order}** rank correlation of depth, {off} mm mean error after a linear fit | "
+        f"**{order}** rank correlation with true depth, {off} mm mean error after a linear fit | "
         f"{presses} presses of a real TacTip"
     )
     latency = Page("daemon")
     yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
     frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
     cores = [rounded(5 * 30 * float(ms) / 10, 0) for ms in frame_ms]
-    yield f"**Five fingers** at 30 frames/s take {cores[0]} to {cores[1]} % of a core"
+    yield f"**Five fingers** at 30 frames/s use {cores[0]} to {cores[1]} % of a core"
 
 
 DRAGS = ("0 mm", "1 mm", "2 mm", "3 mm", "3 mm, twist 10°, tilt 15°")
