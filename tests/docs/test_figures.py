@@ -223,7 +223,7 @@ def limits() -> Claims:
         for what in ("after a release", "glare spot")
     )
     assert glare == 0
-    yield f"All {WORDS[dents]} phantoms are dents just after a release"
+    yield f"All {WORDS[dents]} phantoms were dents seen just after a release"
     yield "spots of glare caused none"
     assert dents + glare == sum(int(page.cell("phantoms", "all of these", profile)) for profile in PROFILES)
 
@@ -478,7 +478,7 @@ def faults() -> Claims:
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
-    yield "reported after 4 to 15 s"
+    yield "reports the hang after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
     yield "`degraded` within 4 s; frames resume within 2 s of the camera's return"
