@@ -131,21 +131,15 @@ DRAGS = ("0 mm", "1 mm", "2 mm", "3 mm", "3 mm, twist 10°, tilt 15°")
 
 def drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
-    me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
-    still, _, two, three, turned = me["accurate"]
-    yield (
-        f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, "
-        f"{three} mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
-    )
-    for profile, verb in (("balanced", "has MEs of"), ("fast", "of")):
-        still, _, two, three, turned = me[profile]
-        yield f"`{profile}` {verb} {still}, {two}, {three} and {turned} mm"
-    still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
-    yield f"`accurate` has MEs of {still}, {two}, {three} and {turned} mm in these cases."
+    rows = [(f"training family, {profile}", trained, profile) for profile in PROFILES]
+    rows.append(("other family (other mechanics), accurate", other, "accurate"))
+    for title, page, profile in rows:
+        still, _, *dragged = (rounded(page.cell("ME mm", what, profile), 2) for what in DRAGS)
+        yield f"| {title} | {' | '.join((still, *dragged))} |"
     frames, refused = (
         sum(int(trained.cell(column, "all", profile)) for profile in PROFILES) for column in ("frames", "refused")
     )
-    yield f"The profiles refused {refused} of {frames} frames on the training family."
+    yield f"On the training family, the profiles refused {refused} of {frames} frames."
 
 
 def shear_under_drag() -> Claims:
