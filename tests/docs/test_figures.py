@@ -116,14 +116,14 @@ def readme() -> Claims:
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
     presses = real.cell("frames", *depth)
     yield (
-        f"**{order}** rank correlation of depth, {off} mm mean error after a linear fit | "
+        f"**{order}** rank correlation with true depth, {off} mm mean error after a linear fit | "
         f"{presses} presses of a real TacTip"
     )
     latency = Page("daemon")
     yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
     frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
     cores = [rounded(5 * 30 * float(ms) / 10, 0) for ms in frame_ms]
-    yield f"**Five fingers** at 30 frames/s take {cores[0]} to {cores[1]} % of a core"
+    yield f"**Five fingers** at 30 frames/s use {cores[0]} to {cores[1]} % of a core"
 
 
 DRAGS = ("0 mm", "1 mm", "2 mm", "3 mm", "3 mm, twist 10°, tilt 15°")
@@ -131,21 +131,15 @@ DRAGS = ("0 mm", "1 mm", "2 mm", "3 mm", "3 mm, twist 10°, tilt 15°")
 
 def drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
-    me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
-    still, _, two, three, turned = me["accurate"]
-    yield (
-        f"On the training family, `accurate` has an ME of {still} mm without drag, {two} mm after 2 mm of drag, "
-        f"{three} mm after 3 mm, and {turned} mm after 3 mm with a 10° twist and a 15° tilt"
-    )
-    for profile, verb in (("balanced", "has MEs of"), ("fast", "of")):
-        still, _, two, three, turned = me[profile]
-        yield f"`{profile}` {verb} {still}, {two}, {three} and {turned} mm"
-    still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
-    yield f"`accurate` has MEs of {still}, {two}, {three} and {turned} mm in these cases."
+    rows = [(f"training family, {profile}", trained, profile) for profile in PROFILES]
+    rows.append(("other family (other mechanics), accurate", other, "accurate"))
+    for title, page, profile in rows:
+        still, _, *dragged = (rounded(page.cell("ME mm", what, profile), 2) for what in DRAGS)
+        yield f"| {title} | {' | '.join((still, *dragged))} |"
     frames, refused = (
         sum(int(trained.cell(column, "all", profile)) for profile in PROFILES) for column in ("frames", "refused")
     )
-    yield f"The profiles refused {refused} of {frames} frames on the training family."
+    yield f"On the training family, the profiles refused {refused} of {frames} frames."
 
 
 def shear_under_drag() -> Claims:
@@ -223,7 +217,7 @@ def limits() -> Claims:
         for what in ("after a release", "glare spot")
     )
     assert glare == 0
-    yield f"All {WORDS[dents]} phantoms are dents just after a release"
+    yield f"All {WORDS[dents]} phantoms were dents seen just after a release"
     yield "spots of glare caused none"
     assert dents + glare == sum(int(page.cell("phantoms", "all of these", profile)) for profile in PROFILES)
 
@@ -478,7 +472,7 @@ def faults() -> Claims:
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
-    yield "reported after 4 to 15 s"
+    yield "reports the hang after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
     yield "`degraded` within 4 s; frames resume within 2 s of the camera's return"
