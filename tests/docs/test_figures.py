@@ -447,7 +447,7 @@ def hand() -> Claims:
     column = "memory, MB"
     (together,) = page.cells(column, "one command, forked processes")
     (apart,) = page.cells(column, "five commands, as with a systemd template unit")
-    yield f"Five sensors take {together} MB of memory; five services would take {apart} MB"
+    yield f"Five sensors in one service take {together} MB of memory; five services would take {apart} MB"
 
 
 def flange() -> Claims:
