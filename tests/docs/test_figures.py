@@ -146,7 +146,7 @@ def shear_under_drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
     for page, begin in (
         (trained, "median error of a contact's mean shear is "),
-        (other, "too small, with a median error of "),
+        (other, "too small, with median errors of "),
     ):
         one, two, three = (page.cell("shear off mm: median", what, "accurate") for what in DRAGS[1:4])
         yield f"{begin}{one}, {two} and {three} mm."
@@ -154,9 +154,8 @@ def shear_under_drag() -> Claims:
     yield f"within 0.35 mm or a tenth of the shear in {one}, {two} and {three} % of `accurate`'s contacts."
     direction = max(trained.number("direction off °: 95 %", what, "accurate") for what in DRAGS[1:4])
     twist = max(trained.number("twist off °: 95 %", what, "accurate") for what in DRAGS[1:4])
-    yield f"In 95 % of these contacts, the direction is within {direction:.0f}° and the twist within"
-    yield f"the twist within {math.ceil(twist)}°; if the object"
-    yield f"tilted by 15°, the twist is within {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
+    yield f"the errors are at most {direction:.0f}° in direction and {math.ceil(twist)}° in twist; if the object"
+    yield f"tilted by 15°, the twist error is at most {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
 
 
 def no_presses() -> Claims:
@@ -441,7 +440,7 @@ def hand() -> Claims:
     column = "memory, MB"
     (together,) = page.cells(column, "one command, forked processes")
     (apart,) = page.cells(column, "five commands, as with a systemd template unit")
-    yield f"Five sensors take {together} MB of memory; five services would take {apart} MB"
+    yield f"Five sensors in one service take {together} MB of memory; five services would take {apart} MB"
 
 
 def flange() -> Claims:
