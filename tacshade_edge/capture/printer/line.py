@@ -41,7 +41,7 @@ class PrinterLine:
         self._port.open()
         self._write(b"\n")  # ends a line that an earlier program may have left half sent
         if not any(self._greeted() for _ in range(_GREETINGS)):
-            found = f"found no reply within {_GREETINGS * _GREETING_S:.0f} s"
+            found = f"got no reply within {_GREETINGS * _GREETING_S:.0f} s"
             raise DeviceError(
                 f"printer {self._port.device}: {found}, expected 'ok' from Marlin or Klipper; is the baud rate right?"
             )

@@ -70,7 +70,7 @@ class UntrustedCheck:
         if sure_part <= UNTRUSTED_INVALID:
             return None
         text = (
-            f"torn, or not an image of the sensor: {100 * sure_part:.0f} % of the disc does not show the sensor's skin"
+            f"torn, or not an image from this sensor: {100 * sure_part:.0f} % of the disc does not show the sensor's skin"
         )
         return Reason(ReasonCode.TORN, text)
 

@@ -30,7 +30,7 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
         text = (
             "the imprint is unlike the labelled object's imprint"
             if found.alike
-            else "the frame is unlike every labelled frame"
+            else "the frame is unlike any labelled frame"
         )
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
     values, sigma = found.values.tolist(), found.sigma.tolist()

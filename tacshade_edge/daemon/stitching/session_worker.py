@@ -321,7 +321,7 @@ class SessionWorker:
 
     def _end(self, session: Session) -> SessionEnded:
         if session.presses == 0:
-            raise RefusedError(ReasonCode.NO_PRESS, "the session has no press; use ABORT to end the session")
+            raise RefusedError(ReasonCode.NO_PRESS, "the session has no presses; use ABORT to end it")
         self._state = replace(self._current_state(), ending=True)
         ended, final_map = session.finish(self._missed)
         self._map_folder = str(session.folder)

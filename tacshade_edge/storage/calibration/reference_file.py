@@ -81,7 +81,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     content, _ = checked_npz.read(str(path), "stored reference", "the daemon for `req/reference`")
     meta, arrays = content.meta, content.arrays
     if meta.get("version") != VERSION or set(arrays) != set(REFERENCE_ARRAYS):
-        raise ConfigError(f"{path}: not a stored reference of version {VERSION}; take a new reference")
+        raise ConfigError(f"{path}: not a version {VERSION} reference file; take a new reference")
     if meta.get("belongs_to") != belongs_to(calibrated):
         text = f"{path}: the stored reference belongs to another calibration; take a new reference"
         raise ConfigError(text, code=ReasonCode.CALIBRATION_CHANGED)
@@ -89,7 +89,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     noise_grey, wall_ns = meta.get("noise_grey"), meta.get("wall_ns")
     fits = all(array.shape == shape and array.dtype == np.uint8 for array in arrays.values())
     if not fits or not isinstance(noise_grey, float) or not isinstance(wall_ns, int):
-        raise ConfigError(f"{path}: not a stored reference; take a new reference")
+        raise ConfigError(f"{path}: not a reference file; take a new reference")
     try:
         calibration = replace(calibrated, noise_grey=noise_grey, **arrays)
     except ValueError as error:

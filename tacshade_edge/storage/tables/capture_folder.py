@@ -84,7 +84,7 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
         raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
     if x_text and not number(where, "x_mm", x_text) ** 2 + number(where, "y_mm", y_text) ** 2 < skin_radius_mm**2:
         expected = f"a place within the skin's radius of {skin_radius_mm:g} mm"
-        raise ConfigError(f"{where}: x_mm, y_mm: found the place {x_text}, {y_text} mm, expected {expected}")
+        raise ConfigError(f"{where}: x_mm, y_mm: found {x_text}, {y_text} mm, expected {expected}")
     for name, text in zip(MORE, more, strict=False):
         if text:
             number(where, name, text)

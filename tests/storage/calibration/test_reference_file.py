@@ -57,7 +57,7 @@ def test_it_stays_when_a_calibration_is_made_again_on_the_same_images(path: Path
 
 def test_a_calibration_is_no_reference(path: Path) -> None:
     calibration_file.save(path, CALIBRATED)
-    with pytest.raises(ConfigError, match="not a stored reference of version 2"):
+    with pytest.raises(ConfigError, match="not a version 2 reference file"):
         reference_file.load(path, CALIBRATED)
 
 

@@ -52,7 +52,7 @@ def test_new_references_replace_the_old(tmp_path: Path) -> None:
         ((BALL, "six", "1", "", ""), "radius_mm: found 'six', expected a number"),
         ((BALL, "6", "20", "", ""), "depth_mm: found 20, expected a number above 0 and below"),
         ((BALL, "6", "1", "1", ""), "x_mm, y_mm: found only one value"),
-        ((BALL, "6", "1", "15", "15"), "x_mm, y_mm: found the place 15, 15 mm, expected a place within the"),
+        ((BALL, "6", "1", "15", "15"), "x_mm, y_mm: found 15, 15 mm, expected a place within the"),
         ((BALL, "6", "1", "nan", "0"), "x_mm: found 'nan', expected a number"),
     ],
 )

@@ -168,7 +168,7 @@ def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
     r, x_mm, y_mm = skin_radius_mm, press.x_mm, press.y_mm
     if not x_mm**2 + y_mm**2 < r * r:
         expected = f"expected a place within the skin's radius of {r:g} mm"
-        raise ConfigError(f"{press.name}: x_mm, y_mm: found the place {x_mm:g}, {y_mm:g} mm, {expected}")
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found {x_mm:g}, {y_mm:g} mm, {expected}")
     if press.indenter is None:
         first_mm = first_touch_mm(press.radius_mm, r, x_mm, y_mm)
     else:

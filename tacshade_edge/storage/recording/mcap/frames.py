@@ -96,7 +96,7 @@ class McapFrames:
                 row = self._row(count, message, about)
                 if row.t_ns <= last_ns:
                     raise DecodeError(
-                        f"found the time {row.t_ns}, expected one after the previous frame's {last_ns} ns"
+                        f"found the time {row.t_ns} ns, expected a time after the previous frame's, {last_ns} ns"
                     )
             except DecodeError as error:
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
