@@ -69,9 +69,7 @@ class UntrustedCheck:
         sure_part = untrusted_rows_part(untrusted_logit, inside, UNTRUSTED_SURE)
         if sure_part <= UNTRUSTED_INVALID:
             return None
-        text = (
-            f"torn, or not an image from this sensor: {100 * sure_part:.0f} % of the disc does not show the sensor's skin"
-        )
+        text = f"torn, or not an image from this sensor: {100 * sure_part:.0f} % of the disc does not show its skin"
         return Reason(ReasonCode.TORN, text)
 
     def moved(self, white: IntegralImage) -> Reason | None:
