@@ -120,7 +120,7 @@ KEYS = "expected one of sensor_id, calibration, profile"
         ),
         (
             {"calibration": "cut.npz"},
-            f"s.yaml:1: calibration: {{folder}}/cut.npz: not a calibration, or damaged; {WRITTEN_BY}",
+            f"s.yaml:1: calibration: {{folder}}/cut.npz: the file is damaged or not a calibration; {WRITTEN_BY}",
         ),
         ({"calibration": "flipped.npz"}, "s.yaml:1: calibration: {folder}/flipped.npz: "),
         ({"more": "colour: red\n"}, f"s.yaml:4: colour: found an unknown key, {KEYS}"),
@@ -164,7 +164,7 @@ GOOD = "images/good.png"
             "PRESSES.csv:2: image: cut.png: found an image cut short after 1000 bytes, expected a whole image",
         ),
         ([*RECONSTRUCT, "flipped.npz", GOOD], 78, "flipped.npz: "),
-        ([*RECONSTRUCT, "text.png", GOOD], 78, f"text.png: not a calibration, or damaged; {WRITTEN_BY}"),
+        ([*RECONSTRUCT, "text.png", GOOD], 78, f"text.png: the file is damaged or not a calibration; {WRITTEN_BY}"),
         (
             [*RECONSTRUCT, "good.npz", GOOD, "cut.png"],
             1,

@@ -254,6 +254,6 @@ def test_no_settings_that_can_work_is_bad_configuration(folder: Path) -> None:
     running = Running(folder)
     try:
         assert running.process.wait(patience(20)) == EXIT_CONFIG
-        assert "not a calibration, or damaged" in running.log.read_text()
+        assert "the file is damaged or not a calibration" in running.log.read_text()
     finally:
         running.close()

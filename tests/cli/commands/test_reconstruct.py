@@ -172,5 +172,5 @@ def test_a_damaged_calibration_ends_the_process_with_78(folder: Path, tmp_path: 
     done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60))
     assert done.returncode == 78
     assert done.stderr.count("\n") == 1
-    assert "cal.npz: not a calibration, or damaged" in done.stderr
+    assert "cal.npz: the file is damaged or not a calibration" in done.stderr
     assert not (tmp_path / "out").exists()

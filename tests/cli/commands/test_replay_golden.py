@@ -15,8 +15,9 @@ from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import calibrated
 
-# For another machine's rounding: far below what a change of the reconstruction does.
-DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.01, 0.02
+# Processors round differently: one without AVX-512 found depths up to 0.022 mm from those of one with it, and centroids
+# up to 0.025 mm. A changed reconstruction differs by far more.
+DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.03, 0.04
 
 
 def differences(run: list[dict[str, Any]], golden: list[dict[str, Any]]) -> list[int]:

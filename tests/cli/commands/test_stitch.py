@@ -173,7 +173,7 @@ def test_nothing_touched(folder: Path, tmp_path: Path, capsys: pytest.CaptureFix
     [
         (("POSES.csv", "image,x_mm\n"), "POSES.csv:1: found the header"),
         (("POSES.csv", "image,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), "found no rows"),
-        (("PAD.npz", "nothing"), "PAD.npz: not a known surface"),
+        (("PAD.npz", "nothing"), "PAD.npz: the file is not a known surface"),
     ],
 )
 def test_a_bad_table_is_told(
