@@ -119,12 +119,11 @@ class ShearWidths:
 
 SHEAR_WIDTHS = ShearWidths(
     front=(16, 16),
-    first_down=((32, 32), (48, 48), (64, 56)),
-    first_up=((16, 16), (48, 32)),
-    second_down=((32, 32), (24, 24), (24, 16)),
-    second_up=((24, 16), (16, 16)),
+    first_down=((32, 32), (48, 48), (64, 64)),
+    first_up=((32, 32), (48, 48)),
+    second_down=((40, 40), (56, 56), (64, 64)),
+    second_up=((40, 40), (56, 56)),
 )
-"""Of the shipped network, which `prune.py` made from one with more channels."""
 
 
 class ShearNet(nn.Module):
