@@ -211,7 +211,12 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
         (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
         (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
         (DaemonState("online"), False, "warning", "no daemon is running here, yet left is online on this broker"),
-        (DaemonState("online", place="on a", rival="on b"), True, "warning", "one runs on a; the other waits on b"),
+        (
+            DaemonState("online", place="on a", rival="on b"),
+            True,
+            "warning",
+            "one is running on a, and the other is waiting on b",
+        ),
         (DaemonState("offline"), True, "warning", "left is not online at the broker"),
     ],
 )

@@ -53,7 +53,7 @@ def test_a_camera_that_came_closer() -> None:
         "camera place"
     ]
     assert place.state == "warning"
-    assert place.found.startswith("visible circle ")
+    assert place.found.startswith("the visible circle ")
     assert "move it back" in place.fix
 
 

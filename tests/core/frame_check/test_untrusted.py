@@ -71,7 +71,7 @@ def test_a_moved_camera_explains_one(logit: float) -> None:
     _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3), logit=logit)
     assert result.reason is not None
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
-    assert float(result.reason.text.split()[4]) == pytest.approx(np.hypot(3, 3), abs=1.0)
+    assert float(result.reason.text.split()[5]) == pytest.approx(np.hypot(3, 3), abs=1.0)
 
 
 def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:

@@ -144,7 +144,7 @@ def test_what_can_never_work_is_refused(tmp_path: Path) -> None:
     for path, said in (
         (tmp_path / "none", "found nothing"),
         (tmp_path, "found no image"),
-        (tmp_path / "v.avi", "no v"),
+        (tmp_path / "v.avi", "found a file that OpenCV cannot read"),
     ):
         with pytest.raises(ConfigError, match=said):
             FilesSource(path=path, fps=30, loop=False).open()
