@@ -58,7 +58,8 @@ def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) ->
     with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker:
         asking = caller(broker.port)
         asking.start()
-        with pytest.raises(DeviceError, match="rejects tacshade/left/req/record: Not authorized; expected") as no:
+        denied = "rejects tacshade/left/req/record: Not authorized; change the broker's access rules"
+        with pytest.raises(DeviceError, match=denied) as no:
             asking.ask({"action": "stop"}, 600)
         assert no.value.code is ReasonCode.REFUSED
         asking.stop()
