@@ -51,6 +51,8 @@ _QUESTIONS = {
     "polarity": "Does a press show more white (bright, as on a TacShade) or less (dark, as on a TacTip)?",
 }
 _MAY_BE_EMPTY = "camera_distance_mm"
+_PRINTER_WRITE_S = 2.0
+"""A busy board must not look like a printer that hangs: that stops the presses with M112."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             limits = read_printer(folder.printer)
             presses = planned_presses(plan, indenters, sensor, limits)
-            line = PrinterLine(SerialPort(args.printer, limits.baud))
+            line = PrinterLine(SerialPort(args.printer, limits.baud, _PRINTER_WRITE_S))
 
             def by_printer(live: Live) -> None:
                 session = Session(folder, sensor, live, terminal, (), indenters)
