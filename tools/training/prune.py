@@ -14,6 +14,7 @@ multiplication first, until the network needs at most the given number of multip
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,15 +23,15 @@ import torch
 from torch import Tensor, nn
 
 from tools.training.data import Data, batch, load, shards_in
-from tools.training.loss import LOSSES
-from tools.training.network import Net, ShearNet, U, make, trained
+from tools.training.loss import FIGURES, LOSSES
+from tools.training.network import Net, ShearNet, U, like, make, trained
 from tools.training.shipped import shipped
+from tools.training.train import VALIDATION_SHARDS
 
 BUNDLE = 8
 """Runtimes compute channels in blocks of this many."""
 BATCHES, BATCH = 24, 32
-SHARDS_OF_A_KIND = slice(2, 5)
-"""The first two are never trained on."""
+SHARDS_OF_A_KIND = 3
 
 
 @dataclass(slots=True)
@@ -138,14 +139,14 @@ def kept_channels(
     kept = {group: np.ones(len(values), bool) for group, values in use.items()}
     convs = {name: module for name, module in net.named_modules() if isinstance(module, nn.Conv2d)}
 
-    def size(name: str, groups: list[str], otherwise: int) -> int:
+    def size(groups: list[str], otherwise: int) -> int:
         return sum(int(kept[group].sum()) for group in groups) if groups else otherwise
 
     def inputs(name: str) -> int:
-        return size(name, wired.reads[name], convs[name].in_channels)
+        return size(wired.reads[name], convs[name].in_channels)
 
     def outputs(name: str) -> int:
-        return size(name, [wired.writes[name]] if name in wired.writes else [], convs[name].out_channels)
+        return size([wired.writes[name]] if name in wired.writes else [], convs[name].out_channels)
 
     def each(name: str) -> int:
         """Multiplications of one input and one output channel."""
@@ -185,6 +186,13 @@ def pruned(net: Net | ShearNet, wired: Wiring, kept: dict[str, np.ndarray]) -> d
     return weights
 
 
+def report(when: str, net: Net | ShearNet, check: dict[str, Data], kind: str) -> None:
+    """Print the figures on shards that are never trained on."""
+    with torch.no_grad():
+        row = {name: FIGURES[kind](net, frames) for name, frames in check.items()}
+    print(json.dumps({"when": when} | row), flush=True)
+
+
 def main() -> None:
     """Prune and write a checkpoint that `train --start` begins with."""
     parser = argparse.ArgumentParser(description="Remove a network's least useful channels.")
@@ -202,7 +210,11 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     shards = shards_in(args.data)
-    data = load([path for paths in shards.values() for path in paths[SHARDS_OF_A_KIND]], args.fold, args.cells)
+    data = load(
+        [path for paths in shards.values() for path in paths[VALIDATION_SHARDS:][:SHARDS_OF_A_KIND]],
+        args.fold,
+        args.cells,
+    )
     if args.run:
         net = trained(args.run)[0]
     else:
@@ -213,6 +225,8 @@ def main() -> None:
     for module in net.modules():
         if isinstance(module, nn.ReLU):
             module.inplace = False
+    check = {kind: load(paths[:VALIDATION_SHARDS], args.fold, args.cells) for kind, paths in shards.items()}
+    report("before", net, check, args.net)
     wired = wiring(net)
     cells = sides(net, batch(data, np.arange(1))[0])
     kept = kept_channels(net, wired, uses(net, wired, data, args.net), cells, args.multiplications)
@@ -220,6 +234,7 @@ def main() -> None:
         print(f"{group}: {stays.sum()} of {len(stays)}")
     args.out.mkdir(parents=True, exist_ok=True)
     weights = pruned(net, wired, kept)
+    report("after", like(weights, args.fold, args.cells).eval(), check, args.net)
     torch.save({"mean": {f"module.{name}": value for name, value in weights.items()}}, args.out / "checkpoint.pt")
 
 

@@ -21,6 +21,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,7 +79,6 @@ class Run:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
-        net = make(args.net, args.fold, args.widths, args.added, args.cells)
         self.shards: dict[str, list[Path]] = {}
         self.check: dict[str, Data] = {}
         self.data: dict[str, Data] = {}
@@ -86,17 +86,18 @@ class Run:
         self.take_in()
         self.checkpoint = args.out / "checkpoint.pt"
         self.step = 0
+        state: dict[str, Any] | None = None
         if self.checkpoint.exists():
-            net = like(averaged(torch.load(self.checkpoint, weights_only=True)), args.fold, args.cells)
+            state = torch.load(self.checkpoint, weights_only=True, map_location=args.device)
+            net = like(averaged(state), args.fold, args.cells)
         else:
-            net = self._begin(net)
+            net = self._begin()
         if args.keep_norms:
             keep_norms(net)
         self.net = net.to(args.device, memory_format=torch.channels_last)
         self.mean = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
         self.optimiser = torch.optim.AdamW(self.net.parameters(), args.rate, weight_decay=1e-3)
-        if self.checkpoint.exists():
-            state = torch.load(self.checkpoint, weights_only=True, map_location=args.device)
+        if state is not None:
             self.net.load_state_dict(state["net"])
             self.mean.load_state_dict(state["mean"])
             self.optimiser.load_state_dict(state["optimiser"])
@@ -115,17 +116,19 @@ class Run:
     def _load(self, paths: list[Path]) -> Data:
         return load(paths, self.args.fold, self.args.cells)
 
-    def _begin(self, net: Net | ShearNet) -> Net | ShearNet:
-        """Return the network with its initial weights; a pruned network brings its own shape."""
-        if self.args.shipped:
+    def _begin(self) -> Net | ShearNet:
+        """Make the network with its initial weights; a pruned network brings its own shape."""
+        args = self.args
+        net = make(args.net, args.fold, args.widths, args.added, args.cells)
+        if args.shipped:
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
-            shipped(net, self.args.shipped, some)
-        if self.args.start is None:
+            shipped(net, args.shipped, some)
+        if args.start is None:
             return net
-        begun = averaged(torch.load(self.args.start, weights_only=True, map_location="cpu"))
-        if self.args.keep_norms:
-            return like(begun, self.args.fold, self.args.cells)
-        if self.args.added and "narrow.0.weight" not in begun:
+        begun = averaged(torch.load(args.start, weights_only=True, map_location="cpu"))
+        if args.keep_norms:
+            return like(begun, args.fold, args.cells)
+        if args.added and "narrow.0.weight" not in begun:
             begun = add_in_place_of_joining(begun)
         fresh = net.state_dict()
         grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})

@@ -15,24 +15,26 @@ from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import calibrated
 
-# Processors round differently: one without AVX-512 found depths up to 0.022 mm from those of one with it, and centroids
-# up to 0.025 mm. A changed reconstruction differs by far more.
-DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.03, 0.04
+# For another machine's rounding: far below what a change of the reconstruction does.
+DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.01, 0.02
+MOST_OUTSIDE, MOST_TIMES = 4, 2.5
+"""Frames that a processor's rounding may take out of the tolerances, and how far out. One without AVX-512 took 2 of 200
+out, by up to 0.022 mm in depth and 0.025 mm in the centroid."""
 
 
-def differences(run: list[dict[str, Any]], golden: list[dict[str, Any]]) -> list[int]:
-    """The frames that left the tolerances."""
+def differences(run: list[dict[str, Any]], golden: list[dict[str, Any]], times: float = 1.0) -> list[int]:
+    """The frames that left the tolerances, or these times them."""
     assert len(run) == len(golden)
-    return [k for k, (mine, theirs) in enumerate(zip(run, golden, strict=True)) if not _alike(mine, theirs)]
+    return [k for k, (mine, theirs) in enumerate(zip(run, golden, strict=True)) if not _alike(mine, theirs, times)]
 
 
-def _alike(mine: dict[str, Any], theirs: dict[str, Any]) -> bool:
+def _alike(mine: dict[str, Any], theirs: dict[str, Any], times: float) -> bool:
     if (mine["contact"], mine["objects"]) != (theirs["contact"], theirs["objects"]):
         return False
-    if abs(mine["depth_max_mm"] - theirs["depth_max_mm"]) > DEPTH_TOLERANCE_MM:
+    if abs(mine["depth_max_mm"] - theirs["depth_max_mm"]) > times * DEPTH_TOLERANCE_MM:
         return False
     return theirs["centroid_mm"] is None or np.allclose(
-        mine["centroid_mm"], theirs["centroid_mm"], rtol=0, atol=CENTROID_TOLERANCE_MM
+        mine["centroid_mm"], theirs["centroid_mm"], rtol=0, atol=times * CENTROID_TOLERANCE_MM
     )
 
 
@@ -47,7 +49,9 @@ def test_the_golden_replay(tmp_path: Path, golden: list[dict[str, Any]]) -> None
     assert main([*write_input(tmp_path), "--out", str(tmp_path / "run")]) == 0
     assert len(golden) == FRAMES
     assert sum(record["contact"] for record in golden) > FRAMES / 2
-    assert differences(figures(tmp_path / "run"), golden) == []
+    found = figures(tmp_path / "run")
+    assert len(differences(found, golden)) <= MOST_OUTSIDE
+    assert differences(found, golden, MOST_TIMES) == []
 
 
 @pytest.mark.slow
