@@ -58,7 +58,7 @@ def test_a_port_is_for_one_program(line: tuple[int, str]) -> None:
 def test_a_program_that_does_not_run_for_a_moment(
     line: tuple[int, str], monkeypatch: pytest.MonkeyPatch, write_s: float, taken: bool
 ) -> None:
-    """pyserial counts that time against the port, although the port took every byte."""
+    # pyserial counts that time against the port, although the port took every byte.
     whole = os.write
 
     def starved(descriptor: int, data: bytes) -> int:
