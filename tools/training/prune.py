@@ -26,7 +26,7 @@ from tools.training.data import Data, batch, load, shards_in
 from tools.training.loss import FIGURES, LOSSES
 from tools.training.network import Net, ShearNet, U, like, make, trained
 from tools.training.shipped import shipped
-from tools.training.train import VALIDATION_SHARDS
+from tools.training.train import VALIDATION_SHARDS, tear
 
 BUNDLE = 8
 """Runtimes compute channels in blocks of this many."""
@@ -104,9 +104,10 @@ def uses(net: Net | ShearNet, wired: Wiring, data: Data, kind: str) -> dict[str,
     ]
     rng = np.random.default_rng(0)
     for turn in range(BATCHES):
-        x, *true = batch(data, rng.integers(0, len(data.frame), BATCH), turn % 8)
+        x, height, contact, shear = batch(data, rng.integers(0, len(data.frame), BATCH), turn % 8)
+        untrusted = tear(x, height, contact, net.fold, rng)
         net.zero_grad()
-        LOSSES[kind](net(x), net.fold, *true, torch.zeros_like(true[0])).backward()
+        LOSSES[kind](net(x), net.fold, height, contact, shear, untrusted).backward()
         for group, made in shown.items():
             change = (made.grad * made.detach()).sum((2, 3)).square().sum(0)
             total[group] = total[group] + change.numpy()

@@ -145,10 +145,7 @@ class Run:
             if count
         ]
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
-        white, at_rest = functional.pixel_shuffle(x[:, : 2 * args.fold**2], args.fold).unbind(1)
-        white = white.contiguous()
-        untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
-        x[:, : args.fold**2] = functional.pixel_unshuffle(white[:, None], args.fold)
+        untrusted = tear(x, height, contact, args.fold, rng)
         return x, height, contact, shear, untrusted
 
     def batches(self, pool: ThreadPoolExecutor) -> Iterator[Batch]:
@@ -210,6 +207,15 @@ class Run:
             if len(paths) >= len(self.shards.get(kind, ())) + more:
                 self.shards[kind] = paths
                 self._take(kind)
+
+
+def tear(x: Tensor, height: Tensor, contact: Tensor, fold: int, rng: np.random.Generator) -> Tensor:
+    """Spoil some frames of a batch, in place; the part of each cell that is untrusted then."""
+    white, at_rest = functional.pixel_shuffle(x[:, : 2 * fold**2], fold).unbind(1)
+    white = white.contiguous()
+    untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
+    x[:, : fold**2] = functional.pixel_unshuffle(white[:, None], fold)
+    return untrusted
 
 
 def keep_norms(net: nn.Module) -> None:
