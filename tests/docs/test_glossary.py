@@ -39,7 +39,6 @@ ALLOWED = {
     "tools/training/export.py": ("displacement", "foreign"),
     "tools/training/integer_graph.py": ("displacement", "foreign"),
     "tools/training/network.py": ("foreign",),
-    "tools/training/prune.py": ("foreign",),
     # An option of mmdebstrap, and the program that a page was made with.
     "tools/rig/arm64.py": ("foreign",),
     **{f"tacshade_edge/simulator/{file}": (word,) for word, files in MECHANICS.items() for file in files},

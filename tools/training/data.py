@@ -1,8 +1,9 @@
-"""Load the shards of make_data.py and cut them into batches."""
+"""Load the shards of make_data.py and cut them into batches, on the processor or a GPU."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -10,112 +11,128 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from tools.training.kinds import kind_of
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
-
-KINDS = ("plain", "uneven", "wide", "varied", "other", "outside")
-"""Kinds of sensors, in shards from 0, 5000, 10000, 15000, 20000 and 25000 on."""
 
 
 @dataclass(slots=True, eq=False)
 class Data:
-    """All samples, in memory as stored; `sensor` gives each frame's row in `reference` and `known`."""
+    """Samples of one kind of sensors; `sensor` gives each frame's row in `reference` and `known`.
 
-    reference: np.ndarray
-    known: np.ndarray
-    frame: np.ndarray
-    height: np.ndarray
-    contact: np.ndarray
-    shear: np.ndarray
-    sensor: np.ndarray
+    Attributes
+    ----------
+    reference, frame : Tensor uint8 (S or F, cells, cells)
+    known : Tensor float16 (S, 6, cells / fold, cells / fold)
+    height : Tensor float16 (F, cells, cells)
+    contact : Tensor uint8 (F, cells, cells)
+    shear : Tensor float16 (F, COARSE_CELLS, COARSE_CELLS, 2)
+    sensor : Tensor int64 (F,)
+    fold : int
+    """
+
+    reference: Tensor
+    known: Tensor
+    frame: Tensor
+    height: Tensor
+    contact: Tensor
+    shear: Tensor
+    sensor: Tensor
     fold: int
 
-    def chances(self) -> np.ndarray:
+    def chances(self) -> Tensor:
         """Weight each frame for drawing: presses like those of users come more often than extreme ones."""
-        return np.where(self._usual(), 2.5, 1.0) * np.where(self._pressed_only(), 2.0, 1.0)
+        depth_mm, drag_mm = self.height.amax((1, 2)).float() * DISC_MM, self._drag_mm()
+        # Users press up to 4.8 mm deep and drag by up to 3.2 mm, on a skin with a radius of 20 mm.
+        usual = (depth_mm < 4.8) & (drag_mm < 3.2)
+        pressed_only = (depth_mm > 0) & (drag_mm < 0.15)
+        return (1 + 1.5 * usual) * (1 + 1.0 * pressed_only)
 
-    def _usual(self) -> np.ndarray:
-        """Whether a frame is at most 4.8 mm deep and dragged by 3.2 mm, on a skin with a radius of 20 mm."""
-        return (self._depth_max_mm() < 4.8) & (self._drag_mm() < 3.2)
-
-    def _pressed_only(self) -> np.ndarray:
-        return (self._depth_max_mm() > 0) & (self._drag_mm() < 0.15)
-
-    def _depth_max_mm(self) -> np.ndarray:
-        return self.height.reshape(len(self.height), -1).max(axis=1).astype(np.float32) * DISC_MM
-
-    def _drag_mm(self) -> np.ndarray:
+    def _drag_mm(self) -> Tensor:
         """How far the skin in contact has moved sideways, on average."""
-        drag_mm = np.zeros(len(self.frame), np.float32)
-        for k, (packed, shear) in enumerate(zip(self.contact, self.shear, strict=True)):
-            cells, coarse = np.unpackbits(packed, axis=-1), len(shear)
-            by = len(cells) // coarse
-            part = cells.reshape(coarse, by, coarse, by).mean(axis=(1, 3))
-            if part.any():
-                drag_mm[k] = np.linalg.norm(np.einsum("ij,ijk->k", part, shear)) / part.sum() * DISC_MM
-        return drag_mm
+        parts = []
+        for some in range(0, len(self.frame), 1024):
+            contact, shear = self.contact[some : some + 1024], self.shear[some : some + 1024].float()
+            part = functional.adaptive_avg_pool2d(contact[:, None].float(), COARSE_CELLS)[:, 0, :, :, None]
+            parts.append((part * shear).sum((1, 2)).norm(dim=1) / part.sum((1, 2, 3)).clamp(min=1e-6))
+        return torch.cat(parts) * DISC_MM
+
+
+def joined(parts: Sequence[Data]) -> Data:
+    """Join samples; sensors are numbered on."""
+    first = np.cumsum([0] + [len(part.reference) for part in parts])
+    sensor = torch.cat([part.sensor + int(k) for part, k in zip(parts, first, strict=False)])
+    named = {
+        f.name: [getattr(part, f.name) for part in parts] for f in fields(Data) if f.name not in ("sensor", "fold")
+    }
+    return Data(**{name: torch.cat(tensors) for name, tensors in named.items()}, sensor=sensor, fold=parts[0].fold)
 
 
 def shards_in(folder: Path) -> dict[str, list[Path]]:
     """Find the shards in a folder, sorted by kind."""
     shards: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("shard_*.npz")):
-        shards.setdefault(KINDS[int(path.stem[6:]) // 5000], []).append(path)
+        shards.setdefault(kind_of(int(path.stem[6:])), []).append(path)
     return shards
 
 
-def load(paths: list[Path], fold: int, cells: int) -> Data:
+def load(paths: Sequence[Path], fold: int, cells: int, device: str = "cpu") -> Data:
     """Read shards, whose maps have 112x112 cells."""
-    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact", "shear")}
-    for path in paths:
-        with np.load(path) as shard:
-            for name, values in parts.items():
-                array = pooled(name, shard[name], 112 // cells)
-                values.append(array[..., ::fold, ::fold] if name == "known" else array)
-    joined = {name: np.concatenate(values) for name, values in parts.items()}
-    sensors, frames = joined["frame"].shape[:2]
-    for name in ("frame", "height", "contact", "shear"):
-        joined[name] = joined[name].reshape(sensors * frames, *joined[name].shape[2:])
-    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), fold=fold)
+    return joined([_shard(path, fold, cells, device) for path in paths])
 
 
-def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
+def _shard(path: Path, fold: int, cells: int, device: str) -> Data:
+    with np.load(path) as shard:
+        arrays = {name: shard[name] for name in ("reference", "known", "frame", "height", "contact", "shear")}
+    arrays["contact"] = np.unpackbits(arrays["contact"], axis=-1)
+    sensors, frames = arrays["frame"].shape[:2]
+    by, to = 112 // cells, arrays["shear"].shape[2] // COARSE_CELLS
+    maps = {name: _pooled(name, array, by) for name, array in arrays.items() if name != "shear"}
+    for name in ("frame", "height", "contact"):
+        maps[name] = maps[name].flatten(0, 1)
+    shear = torch.from_numpy(arrays["shear"]).to(torch.float32).flatten(0, 1).unflatten(2, (-1, to))
+    shear = shear.unflatten(1, (-1, to)).mean((2, 4)).half()
+    return Data(
+        reference=maps["reference"].to(device),
+        known=maps["known"][..., ::fold, ::fold].contiguous().to(device),
+        frame=maps["frame"].to(device),
+        height=maps["height"].to(device),
+        contact=maps["contact"].to(device),
+        shear=shear.to(device),
+        sensor=torch.arange(sensors, device=device).repeat_interleave(frames),
+        fold=fold,
+    )
+
+
+def _pooled(name: str, array: np.ndarray, by: int) -> Tensor:
     """Average `by` x `by` cells; a pooled cell is in contact where half of them touch."""
-    if name == "shear":  # stored on 56x56 cells
-        *first, rows, cols, two = array.shape
-        by = rows // COARSE_CELLS
-        return array.reshape(*first, rows // by, by, cols // by, by, two).mean(axis=(-4, -2), dtype=np.float32)
+    values = torch.from_numpy(array)
     if by == 1:
-        return array
-    values = np.unpackbits(array, axis=-1) if name == "contact" else array
-    *first, rows, cols = values.shape
-    means = values.reshape(*first, rows // by, by, cols // by, by).mean(axis=(-3, -1), dtype=np.float32)
+        return values
+    means = functional.avg_pool2d(values.flatten(0, -3)[:, None].float(), by)[:, 0].unflatten(0, values.shape[:-2])
     if name == "contact":
-        return np.packbits(means >= 0.5, axis=-1)
-    return (np.rint(means) if array.dtype == np.uint8 else means).astype(array.dtype)
+        means = (means >= 0.5).float()
+    return (means.round() if array.dtype == np.uint8 else means).to(values.dtype)
 
 
-def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def batch(data: Data, index: Tensor | np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Make a network's inputs; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
 
     `turn` selects one of the square's 8 symmetries.
     """
 
-    def turned(array: np.ndarray) -> np.ndarray:
-        array = np.rot90(array, turn % 4, axes=(1, 2))
-        return np.ascontiguousarray(array[:, :, ::-1] if turn >= 4 else array)
+    def turned(maps: Tensor) -> Tensor:
+        maps = maps.rot90(turn % 4, (1, 2))
+        return maps.flip(2) if turn >= 4 else maps
 
+    index = torch.as_tensor(index, device=data.frame.device)
     sensor = data.sensor[index]
-    maps = np.stack((turned(data.frame[index]), turned(data.reference[sensor])), axis=1)
-    maps = torch.from_numpy(maps).float() / 255
+    maps = torch.stack((turned(data.frame[index]), turned(data.reference[sensor])), 1).float() / 255
     # A turned sensor is another sensor of the family, so the maps of its geometry are not turned.
-    known = torch.from_numpy(data.known[sensor].astype(np.float32))
-    x = torch.cat((functional.pixel_unshuffle(maps, data.fold), known), 1)
-    height = torch.from_numpy(turned(data.height[index]).astype(np.float32) * HEIGHT_SCALE)
-    contact = np.unpackbits(data.contact[index], axis=-1)
-    x_y = turned(data.shear[index].astype(np.float32) * HEIGHT_SCALE)
+    x = torch.cat((functional.pixel_unshuffle(maps, data.fold), data.known[sensor].float()), 1)
+    height, contact = turned(data.height[index]).float() * HEIGHT_SCALE, turned(data.contact[index]).float()
+    x_y = turned(data.shear[index]).float() * HEIGHT_SCALE
     for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
-        x_y = np.stack((x_y[..., 1], -x_y[..., 0]), axis=-1)
+        x_y = torch.stack((x_y[..., 1], -x_y[..., 0]), -1)
     if turn >= 4:
-        x_y = x_y * np.array((-1, 1), np.float32)
-    shear = torch.from_numpy(np.ascontiguousarray(np.moveaxis(x_y, 3, 1)))
-    return x.contiguous(memory_format=torch.channels_last), height, torch.from_numpy(turned(contact)).float(), shear
+        x_y = x_y * x_y.new_tensor((-1, 1))
+    return x, height, contact, x_y.permute(0, 3, 1, 2)

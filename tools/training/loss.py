@@ -76,7 +76,7 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
         white = white.contiguous()
         spoil(white, at_rest, height.clone(), contact.clone(), 1.0, rng)
         spoiled = torch.cat((functional.pixel_unshuffle(white[:, None], data.fold), x[:, data.fold**2 :]), 1)
-        with halved("cpu"):
+        with halved(x.device.type):
             torn += list((net(spoiled)[1].float() > 0).float().mean((1, 2, 3)))
             y, odds = net(x)
         strange += list((odds.float() > 0).float().mean((1, 2, 3)))
@@ -102,7 +102,7 @@ def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
     """Measure the error of contacts' shear, as if the disc's radius were 15 mm."""
     off, size = [], []
     for x, _, contact, shear in _batches(data):
-        with halved("cpu"):
+        with halved(x.device.type):
             moved = net(x).float()
         touching = touching_part(contact)
         found, true = ((touching * each).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3) for each in (moved, shear))
@@ -133,4 +133,4 @@ def touching_part(contact: Tensor) -> Tensor:
 
 def share_over(values: list[Tensor], limit: float) -> float:
     """The share of values above a limit."""
-    return round(float(np.mean(np.array(values) > limit)), 4)
+    return round(float((torch.stack(values) > limit).float().mean()), 4)

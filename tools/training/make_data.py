@@ -25,6 +25,7 @@ import numpy as np
 from tacshade_edge.cli.shared import study
 from tacshade_edge.studies.parallel import workers
 from tools.studies import command
+from tools.training.kinds import shards
 from tools.training.outside import VIEWS
 from tools.training.samples import sensor_samples
 
@@ -56,13 +57,11 @@ def main(words: Sequence[str] | None = None) -> None:
     """Simulate the missing shards."""
     parser = argparse.ArgumentParser(description="Simulated training data.")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--sensors", type=int, default=2400)
+    parser.add_argument("--sensors", type=int, default=2400, help="of all kinds together")
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
-    parser.add_argument("--first-shard", type=int, default=0)
     study.add_cluster(parser)
     args = parser.parse_args(words)
-    numbers = range(args.first_shard, args.first_shard - (-args.sensors // SENSORS_PER_SHARD))
-    paths = {k: args.out / f"shard_{k:05d}.npz" for k in numbers}
+    paths = {k: args.out / f"shard_{k:05d}.npz" for k in shards(-(-args.sensors // SENSORS_PER_SHARD))}
     jobs = {path: (FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k, path in paths.items() if not path.exists()}
     with command.folder_for(parser, args.out), workers(args.cluster) as pool:
         for path, (content, line) in zip(jobs, pool.map(make_shard, jobs.values()), strict=True):

@@ -119,10 +119,10 @@ class ShearWidths:
 
 SHEAR_WIDTHS = ShearWidths(
     front=(16, 16),
-    first_down=((32, 32), (48, 48), (64, 64)),
-    first_up=((32, 32), (48, 48)),
-    second_down=((40, 40), (56, 56), (64, 64)),
-    second_up=((40, 40), (56, 56)),
+    first_down=((24, 24), (32, 32), (48, 48)),
+    first_up=((24, 24), (32, 32)),
+    second_down=((24, 24), (40, 40), (64, 64)),
+    second_up=((24, 24), (40, 40)),
 )
 
 
@@ -184,7 +184,7 @@ def averaged(state: dict[str, Any]) -> dict[str, Tensor]:
 
 def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
     """Load the averaged network of a run's checkpoint, in evaluation mode, and the checkpoint."""
-    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    state = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
     arguments = state["arguments"]
     return like(averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))).eval(), state
 

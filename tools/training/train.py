@@ -7,7 +7,10 @@
 
 The first two shards of each kind of sensor are never trained on; they give the figures of each report. A batch depends
 only on the seed and its number, so an interrupted run continues with the batches that it would have seen (while the
-shards are the same).
+shards are the same). A run that is done only reports.
+
+It begins when each kind has three shards. On a GPU, all frames lie in its memory, and a step is a CUDA graph. Several
+runs can share a GPU, and the shards may be made meanwhile.
 """
 
 from __future__ import annotations
@@ -18,18 +21,19 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from tools.training.data import KINDS, Data, batch, load, shards_in
+from tools.training.data import Data, batch, joined, load, shards_in
+from tools.training.kinds import KINDS, SHARES
+from tools.training.looks import other_looks
 from tools.training.loss import FIGURES, LOSSES, halved
 from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, averaged, grow, like, make
 from tools.training.shipped import shipped
@@ -37,11 +41,15 @@ from tools.training.torn import spoil
 
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 4
-"""The run loads new shards when at least this many exist."""
+"""The run loads new shards of a kind when at least this many exist."""
+LOOK_STEPS, SAVE_STEPS = 200, 1000
+"""After so many steps, it looks for new shards, and writes its checkpoint."""
 TORN_PART = 0.12
 WARM_STEPS = 500
+CAPTURED_AFTER, WAIT_S = 3, 0.5
 
-Batch = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+Batch = tuple[Tensor, ...]
+"""Inputs, then the true height, contact and shear, and the untrusted cells."""
 
 
 def arguments() -> argparse.Namespace:
@@ -51,26 +59,21 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--net", choices=NETS, default="depth", help="what is trained")
     parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="ends the run before its last step")
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
-    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(6, 1, 1, 2, 2, 8), help=" ".join(KINDS))
     parser.add_argument("--added", action="store_true", help="levels are added, not joined (`Net`)")
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
-    )
-    parser.add_argument(
-        "--keep-norms",
-        action="store_true",
-        help="normalisations keep the statistics that they begin with; --start may then be of a pruned network",
     )
     parser.add_argument("--shipped", metavar="NAME", help="the shipped weights of that name begin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
+    parser.add_argument("--report", type=int, default=1000, metavar="STEPS", help="0: never")
     return parser.parse_args()
 
 
@@ -82,107 +85,102 @@ class Run:
         self.shards: dict[str, list[Path]] = {}
         self.check: dict[str, Data] = {}
         self.data: dict[str, Data] = {}
-        self.drawn: dict[str, np.ndarray] = {}
-        self.take_in()
+        self.drawn: dict[str, Tensor] = {}
+        while len(self.data) < len(KINDS):
+            self.take_in()
+            time.sleep(WAIT_S)
         self.checkpoint = args.out / "checkpoint.pt"
-        self.step = 0
+        self.step, self.began = 0, time.time()
         state: dict[str, Any] | None = None
         if self.checkpoint.exists():
-            state = torch.load(self.checkpoint, weights_only=True, map_location=args.device)
+            state = torch.load(self.checkpoint, weights_only=True, map_location="cpu")
             net = like(averaged(state), args.fold, args.cells)
         else:
             net = self._begin()
-        if args.keep_norms:
-            keep_norms(net)
         self.net = net.to(args.device, memory_format=torch.channels_last)
         self.mean = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
-        self.optimiser = torch.optim.AdamW(self.net.parameters(), args.rate, weight_decay=1e-3)
+        self.mean.n_averaged = self.mean.n_averaged.cpu()  # it is compared at every step, which should not wait
+        self.rate = torch.zeros((), device=args.device)
+        on_gpu = self.rate.is_cuda
+        self.optimiser = torch.optim.AdamW(
+            self.net.parameters(), self.rate, weight_decay=1e-3, capturable=on_gpu, fused=on_gpu or None
+        )
         if state is not None:
             self.net.load_state_dict(state["net"])
             self.mean.load_state_dict(state["mean"])
             self.optimiser.load_state_dict(state["optimiser"])
+            for group in self.optimiser.param_groups:
+                group["lr"] = self.rate
             self.step = state["step"]
-
-    def _take(self, kind: str) -> None:
-        """Load the frames of a kind to train on; `drawn` holds their cumulative chances, which end at 1."""
-        if kind not in self.check:
-            self.check[kind] = self._load(self.shards[kind][:VALIDATION_SHARDS])
-        self.data[kind] = self._load(self.shards[kind][VALIDATION_SHARDS:])
-        drawn = self.data[kind]
-        # Users press their own sensors deep and drag them far, so all these frames are equally likely.
-        total = np.cumsum(np.ones(len(drawn.frame)) if kind == "outside" else drawn.chances())
-        self.drawn[kind] = total / total[-1]
-
-    def _load(self, paths: list[Path]) -> Data:
-        return load(paths, self.args.fold, self.args.cells)
+            self.began -= state["seconds"]
+        self.learn: Callable[[Batch], Tensor] = Captured(self._learn) if on_gpu else self._learn
 
     def _begin(self) -> Net | ShearNet:
-        """Make the network with its initial weights; a pruned network brings its own shape."""
+        """Make the network with its initial weights."""
         args = self.args
         net = make(args.net, args.fold, args.widths, args.added, args.cells)
         if args.shipped:
-            some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
+            check = self.check.values()
+            some = [batch(frames, np.arange(0, len(frames.frame), 7))[0].cpu() for frames in check]
             shipped(net, args.shipped, some)
         if args.start is None:
             return net
         begun = averaged(torch.load(args.start, weights_only=True, map_location="cpu"))
-        if args.keep_norms:
-            return like(begun, args.fold, args.cells)
         if args.added and "narrow.0.weight" not in begun:
             begun = add_in_place_of_joining(begun)
         fresh = net.state_dict()
         grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
         return net
 
-    def batch(self, step: int) -> Batch:
+    def batch(self) -> Batch:
         """Make a step's batch: network inputs, height, contact, shear, and untrusted cells."""
-        args, rng = self.args, np.random.default_rng((self.args.seed, step))
-        share = np.array([args.shares[KINDS.index(kind)] for kind in self.data])
-        counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
-        parts = [
-            batch(self.data[kind], np.searchsorted(self.drawn[kind], rng.random(count)), turn)
-            for kind, count in zip(self.data, counts, strict=True)
-            if count
-        ]
+        args, rng = self.args, np.random.default_rng((self.args.seed, self.step))
+        generator = torch.Generator(args.device).manual_seed(int(rng.integers(1 << 62)))
+        share = np.array([SHARES[KINDS.index(kind)] for kind in self.data])
+        counts, parts = rng.multinomial(args.batch, share / share.sum()), []
+        for kind, count in zip(self.data, counts, strict=True):
+            if count:
+                drawn = torch.rand(int(count), generator=generator, device=args.device, dtype=torch.float64)
+                index = torch.searchsorted(self.drawn[kind], drawn)
+                parts.append(batch(self.data[kind], index, int(rng.integers(8))))
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
-        untrusted = tear(x, height, contact, args.fold, rng)
-        return x, height, contact, shear, untrusted
+        fold = args.fold
+        maps = other_looks(functional.pixel_shuffle(x[:, : 2 * fold**2], fold), generator)
+        x = torch.cat((functional.pixel_unshuffle(maps, fold), x[:, 2 * fold**2 :]), 1)
+        untrusted = tear(x, height, contact, fold, rng)
+        return x.contiguous(memory_format=torch.channels_last), height, contact, shear.contiguous(), untrusted
 
-    def batches(self, pool: ThreadPoolExecutor) -> Iterator[Batch]:
-        """Yield the batches of all remaining steps; threads make some of them ahead."""
-        ahead: list[Future[Batch]] = []
-        for step in range(self.step, self.args.steps):
-            while len(ahead) < 2 * pool._max_workers and step + len(ahead) < self.args.steps:
-                ahead.append(pool.submit(self.batch, step + len(ahead)))
-            made = ahead.pop(0).result()
-            yield tuple(tensor.to(self.args.device) for tensor in made)
+    def done(self) -> float:
+        """How much of the run is done, in steps or in time, 0 to 1."""
+        return max(self.step / self.args.steps, (time.time() - self.began) / (60 * self.args.minutes))
 
-    def learn(self, made: Batch) -> float:
+    def take_step(self) -> Tensor:
         """Take one step and return the loss."""
-        args = self.args
         warm = min(1.0, (self.step + 1) / WARM_STEPS)
-        rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * self.step / args.steps)) + 1e-6
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
+        self.rate.fill_(self.args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * min(self.done(), 1.0))) + 1e-6)
+        loss = self.learn(self.batch())
+        self.mean.update_parameters(self.net)
+        self.step += 1
+        return loss
+
+    def _learn(self, made: Batch) -> Tensor:
         x, *true = made
-        with halved(args.device):
-            said = self.net(x.contiguous(memory_format=torch.channels_last))
-        loss = LOSSES[args.net](said, args.fold, *true)
+        with halved(self.args.device):
+            said = self.net(x)
+        loss = LOSSES[self.args.net](said, self.args.fold, *true)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.net.parameters(), 2.0)
         self.optimiser.step()
-        self.mean.update_parameters(self.net)
-        self.step += 1
-        return float(loss.detach())
+        return loss.detach()
 
     def report(self, loss: float, s_per_step: float) -> None:
         """Print the figures of the averaged network and append them to a file."""
         row = {"step": self.step, "loss": round(loss, 4)}
-        averaged = copy.deepcopy(self.mean.module).cpu().eval()
+        averaged = copy.deepcopy(self.mean.module).eval()
         with torch.no_grad():
             row |= {kind: FIGURES[self.args.net](averaged, frames) for kind, frames in self.check.items()}
-        row |= {"frames": sum(len(d.frame) for d in self.data.values()), "s_per_step": round(s_per_step, 4)}
+        row |= {"s_per_step": round(s_per_step, 4)}
         print(json.dumps(row), flush=True)
         with (self.args.out / "figures.jsonl").open("a") as file:
             file.write(json.dumps(row) + "\n")
@@ -194,6 +192,7 @@ class Run:
             "mean": self.mean.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "step": self.step,
+            "seconds": time.time() - self.began,
             "arguments": {k: str(v) for k, v in vars(self.args).items()},
             "shards": sum(map(len, self.shards.values())),
         }
@@ -202,11 +201,50 @@ class Run:
 
     def take_in(self) -> None:
         """Load shards that were made in the meantime."""
-        for kind, paths in shards_in(self.args.data).items():
-            more = NEW_SHARDS if kind in self.shards else VALIDATION_SHARDS + 1
-            if len(paths) >= len(self.shards.get(kind, ())) + more:
-                self.shards[kind] = paths
-                self._take(kind)
+        args = self.args
+        for kind, paths in shards_in(args.data).items():
+            known = self.shards.get(kind, [])
+            fresh = [path for path in paths if path not in known]
+            if len(fresh) < (NEW_SHARDS if known else VALIDATION_SHARDS + 1):
+                continue
+            if not known:
+                self.check[kind] = load(paths[:VALIDATION_SHARDS], args.fold, args.cells, args.device)
+            more = [path for path in fresh if path not in paths[:VALIDATION_SHARDS]]
+            loaded = load(more, args.fold, args.cells, args.device)
+            self.data[kind] = joined([self.data[kind], loaded]) if known else loaded
+            self.shards[kind] = [*known, *fresh]
+            # Users press their own sensors deep and drag them far, so all these frames are equally likely.
+            kept = self.data[kind]
+            total = (torch.ones(len(kept.frame)) if kind == "outside" else kept.chances()).double().cumsum(0)
+            self.drawn[kind] = (total / total[-1]).to(args.device)
+
+
+class Captured:
+    """A step that is captured as a CUDA graph at its third call and replayed from then on."""
+
+    def __init__(self, step: Callable[[Batch], Tensor]) -> None:
+        self.step, self.calls = step, 0
+        self.graph, self.stream = torch.cuda.CUDAGraph(), torch.cuda.Stream()
+        self.inputs: Batch = ()
+        self.loss = torch.zeros(())
+
+    def __call__(self, made: Batch) -> Tensor:
+        """Take the step."""
+        self.calls += 1
+        if self.calls <= CAPTURED_AFTER:
+            self.stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(self.stream):
+                loss = self.step(made)
+            torch.cuda.current_stream().wait_stream(self.stream)
+            return loss
+        if not self.inputs:
+            self.inputs = tuple(tensor.clone() for tensor in made)
+            with torch.cuda.graph(self.graph):
+                self.loss = self.step(self.inputs)
+        for kept, new in zip(self.inputs, made, strict=True):
+            kept.copy_(new)
+        self.graph.replay()
+        return self.loss.clone()
 
 
 def tear(x: Tensor, height: Tensor, contact: Tensor, fold: int, rng: np.random.Generator) -> Tensor:
@@ -216,14 +254,6 @@ def tear(x: Tensor, height: Tensor, contact: Tensor, fold: int, rng: np.random.G
     untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
     x[:, : fold**2] = functional.pixel_unshuffle(white[:, None], fold)
     return untrusted
-
-
-def keep_norms(net: nn.Module) -> None:
-    """Let each normalisation keep its statistics: a batch's differ so much that a trained network would start anew."""
-    for module in net.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.momentum = 0.0
-            module.eval()
 
 
 def _fits(old: Tensor, new: Tensor) -> bool:
@@ -236,19 +266,32 @@ def main() -> None:
     args = arguments()
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
+    torch.backends.cudnn.benchmark = True
     args.out.mkdir(parents=True, exist_ok=True)
     run = Run(args)
     print(f"step {run.step}: frames { ({kind: len(d.frame) for kind, d in run.data.items()}) }", flush=True)
-    start, total, since = time.perf_counter(), 0.0, run.step
-    with ThreadPoolExecutor(args.threads) as pool:
-        for made in run.batches(pool):
-            total += run.learn(made)
-            if run.step % args.report == 0 or run.step == args.steps:
-                seconds, steps = time.perf_counter() - start, run.step - since
-                run.report(total / steps, seconds / steps)
-                run.save()
-                run.take_in()
-                start, total, since = time.perf_counter(), 0.0, run.step
+    start, total, since = time.perf_counter(), torch.zeros((), device=args.device), run.step
+
+    def report() -> None:
+        nonlocal start, since
+        seconds, steps = time.perf_counter() - start, max(1, run.step - since)
+        run.report(float(total) / steps, seconds / steps)
+        start, since = time.perf_counter(), run.step
+        total.zero_()
+
+    finished = run.done() >= 1
+    while run.done() < 1:
+        total += run.take_step()
+        if run.step % LOOK_STEPS == 0:
+            run.take_in()
+        if run.step % SAVE_STEPS == 0:
+            run.save()
+        if args.report and run.step % args.report == 0:
+            report()
+    if not finished:
+        run.save()
+    if args.report:
+        report()
 
 
 if __name__ == "__main__":
