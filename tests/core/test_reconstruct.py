@@ -157,7 +157,7 @@ def test_errors_are_in_proportion_to_the_scale_that_presses_tell_and_wider_witho
         return float(np.nanmedian(made.step(touched).sigma_mm))  # type: ignore[arg-type]
 
     assert median_mm({"fast": 2.0}) == pytest.approx(2 * median_mm({"fast": 1.0}), rel=1e-5)
-    assert median_mm({}) > 1.3 * median_mm(dict(calibrated().error_scales))
+    assert median_mm({}) > 1.1 * median_mm(dict(calibrated().error_scales))
 
 
 def test_paper_tells_no_errors() -> None:
@@ -388,8 +388,8 @@ def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: 
 
 def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> None:
     assert step("fast", pressed("ball", 1.0).image).contact
-    beside = simulated(HALF).frame((Press(OBJECTS["ball"](), 19.0, 0.0, 1.0),), 3).image
-    assert step("fast", beside).depth_max_mm < 1.5
+    beside = simulated(HALF).frame((Press(OBJECTS["ball"](), 19.0, 0.0, 1.0),), 3)
+    assert step("fast", beside.image).depth_max_mm < beside.skin.height_mm.max()
 
 
 def test_a_solver_that_finds_the_contact_itself_is_asked_earlier() -> None:

@@ -58,7 +58,7 @@ def test_the_errors_are_those_of_the_shipped_weights() -> None:
     assert {name: errors["sha256"] for name, errors in known.items()} == found, "run tools/training/fit_sigma.py"
     for name, network in load_networks().items():
         assert network.sigma is not None
-        assert network.sigma.scale_without_presses > 1.2, name  # 1.44, the least, is accurate's
+        assert network.sigma.scale_without_presses > 1.1, name  # 1.17, the least, is that of fast
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -135,7 +135,7 @@ def test_a_fitted_profile_needs_no_factor_and_keeps_its_weights_on_a_new_referen
 def test_calibrations_are_of_the_shipped_weights() -> None:
     """A factor that was fitted to other weights is silently wrong: new weights need a new `VERSION`, and this line."""
     shipped = {name: json.loads((WEIGHTS / f"{name}.json").read_text())["sha256"][f"{name}.onnx"][:8] for name in NAMES}
-    assert (VERSION, shipped) == (8, {"fast": "605b4c9e", "balanced": "e517b691", "accurate": "be7dbfbe"})
+    assert (VERSION, shipped) == (9, {"fast": "05035fe0", "balanced": "902f2ee7", "accurate": "492d6049"})
 
 
 RUN = """

@@ -18,7 +18,7 @@ from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry,
 
 _log = logging.getLogger(__name__)
 
-VERSION = 8
+VERSION = 9
 """It also counts the networks, as factors fit the weights shipped with them (tests/inference/test_network.py)."""
 OLDEST = 6
 """Oldest readable version; later ones differ only in the networks that their factors fit. Older factors are ignored."""
