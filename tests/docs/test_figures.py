@@ -96,7 +96,7 @@ def objects() -> Claims:
     yield f"The learned profiles found no phantom in {frames} frames without contact."
     spans = []
     for page, prefix in ((trained, ""), (other, "other:")):
-        single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9018, 9019, 9020)]
+        single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9021, 9022, 9023)]
         spans.append(f"{rounded(min(single), 2)} to {rounded(max(single), 2)} mm")
     yield f"mean ME with `accurate` is {spans[0]} on the training family and {spans[1]} on the other."
     table = ("mean", "Table I (real sensor)")

@@ -42,7 +42,7 @@ from tools.testbed import flange_plan
 from tools.testbed.simulator.families import sensor_name
 
 SENSORS = ("default", "5", "11", "other:1", "two-scales:3")
-FINAL = ("9018", "9019", "9020", "other:9018", "two-scales:9018")
+FINAL = ("9021", "9022", "9023", "other:9021", "two-scales:9021")
 """Sensors kept for final figures."""
 PADS = ("relief:1", "relief:2", "relief:3", "touchpad:0")
 NOISES = ((0.1, 0.1), (0.2, 0.2), (0.3, 0.3))

@@ -3,15 +3,11 @@
 
 ::
 
-    .venv-train/bin/python -m tools.training.export --run RUN --out accurate.onnx [--shipped-part 0.5]
+    .venv-train/bin/python -m tools.training.export --run RUN --out accurate.onnx
 
 The first layer is cut in two. ``accurate.sensor.onnx`` computes what the sensor's reference and geometry contribute and
 runs once per sensor. The rest takes this contribution and a frame's white, and runs for every frame. A JSON file of the
 same name records command, seed, commit, data, figures and SHA-256.
-
-A short run on new data forgets part of what the shipped weights learned. ``--shipped-part`` restores it: weights
-between the run's and the shipped ones, with which the run started, are often better than either on both kinds of data
-(Wortsman et al., CVPR 2022).
 """
 
 from __future__ import annotations
@@ -32,9 +28,7 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.inference.onnx_weights import values_of, with_values
 from tools.training.network import Net, ShearNet, trained
-from tools.training.shipped import WEIGHTS
 
 OPSET = 13
 TOLERANCE = 1e-4
@@ -85,7 +79,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Export the learned inverse.")
     parser.add_argument("--run", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--shipped-part", type=float, default=0.0, help="of the shipped weights of its name; 0 to 1")
     args = parser.parse_args()
     net, state = trained(args.run)
     fold = net.fold
@@ -102,9 +95,6 @@ def main() -> None:
     write(PerFrame(net), {"white": white, "sensor": sensor}, outputs, args.out)
     found = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]})
     off = max(float(np.abs(f - e).max()) for f, e in zip(found, expected, strict=True))
-    if args.shipped_part:
-        for path in (args.out, once):
-            blend(path, WEIGHTS / path.name, args.shipped_part)
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
     about = {
@@ -118,7 +108,6 @@ def main() -> None:
         "shards": state["shards"],
         "figures": {k: v for k, v in rows[-1].items() if k != "s_per_step"},
         "run_minus_torch": off,
-        "shipped_part": args.shipped_part,
     }
     args.out.with_suffix(".json").write_text(json.dumps(about, indent=1) + "\n")
     print(json.dumps(about, indent=1))
@@ -132,14 +121,6 @@ def write(part: nn.Module, inputs: dict[str, Tensor], outputs: list[str], path: 
         warnings.simplefilter("ignore", DeprecationWarning)  # this exporter needs only torch
         torch.onnx.export(part.eval(), tuple(inputs.values()), str(path), dynamo=False, opset_version=OPSET,
                           input_names=list(inputs), output_names=outputs)  # fmt: skip
-
-
-def blend(path: Path, shipped: Path, part: float) -> None:
-    """Move the weights of a file by `part` of the way to the committed ones."""
-    name = shipped.relative_to(Path.cwd()).as_posix()
-    old = subprocess.run(["git", "show", f"HEAD:{name}"], capture_output=True, check=True).stdout
-    made = path.read_bytes()
-    path.write_bytes(with_values(made, (1 - part) * values_of(made) + part * values_of(old)))
 
 
 def run(path: Path, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:

@@ -88,8 +88,8 @@ class Net(U):
     (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 
-    def __init__(self, fold: int, down: Sequence[Widths], up: Sequence[Widths], added: bool, cells: int) -> None:
-        super().__init__(2 * fold * fold + KNOWN, down, up, added)
+    def __init__(self, fold: int, down: Sequence[Widths], up: Sequence[Widths], cells: int) -> None:
+        super().__init__(2 * fold * fold + KNOWN, down, up, added=True)
         self.fold = fold
         self.head = nn.Conv2d(up[0][1], 2 * fold * fold, 1)
         cells //= fold
@@ -156,9 +156,9 @@ NETS = ("depth", "shear")
 """The networks that `train.py` can train."""
 
 
-def make(net: str, fold: int, widths: Sequence[int], added: bool, cells: int) -> Net | ShearNet:
+def make(net: str, fold: int, widths: Sequence[int], cells: int) -> Net | ShearNet:
     """Make one of `NETS`, with one width for each level; the shear network has `SHEAR_WIDTHS`."""
-    return Net(fold, *even(widths), added, cells) if net == "depth" else ShearNet()
+    return Net(fold, *even(widths), cells) if net == "depth" else ShearNet()
 
 
 def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
@@ -172,7 +172,7 @@ def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
         ways = ("first.down", "first.up", "second.down", "second.up")
         net: Net | ShearNet = ShearNet(ShearWidths(levels("down")[0], *map(levels, ways)))
     else:
-        net = Net(fold, levels("down"), levels("up"), "narrow.0.weight" in weights, cells)
+        net = Net(fold, levels("down"), levels("up"), cells)
     net.load_state_dict(weights)
     return net
 
@@ -187,45 +187,3 @@ def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
     state = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
     arguments = state["arguments"]
     return like(averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))).eval(), state
-
-
-def grow(net: Net, narrow: dict[str, Tensor]) -> None:
-    """Give a network the weights of one that is at most as wide; until it is trained, it computes the same.
-
-    New channels have weights of their own, but the old channels do not read them yet (Net2Net, Chen et al. 2016).
-    """
-    fresh = net.state_dict()
-    for name, old in narrow.items():
-        new = fresh[name]
-        part = new.clone()
-        if old.dim() == 0:
-            fresh[name] = old
-            continue
-        if old.dim() == 1:
-            part[: len(old)] = old
-            fresh[name] = part
-            continue
-        part[: len(old)] = 0
-        level = int(name.split(".")[1]) if name.startswith("up.") and name.split(".")[2] == "0" else None
-        if level is None:
-            part[: old.shape[0], : old.shape[1]] = old
-        else:  # the skip connection's channels come first, then those from below
-            skip_old = narrow[f"down.{level}.0.weight"].shape[0]
-            skip_new = fresh[f"down.{level}.0.weight"].shape[0]
-            part[: old.shape[0], :skip_old] = old[:, :skip_old]
-            part[: old.shape[0], skip_new : skip_new + old.shape[1] - skip_old] = old[:, skip_old:]
-        fresh[name] = part
-    net.load_state_dict(fresh)
-
-
-def add_in_place_of_joining(joined: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Turn the weights of a network that joins its levels into those of one that adds them, as closely as possible."""
-    weights = dict(joined)
-    for name, both in joined.items():
-        part = name.split(".")
-        if part[0] == "up" and part[2:] == ["0", "weight"]:
-            skipped, risen = both.split((len(both), both.shape[1] - len(both)), dim=1)
-            weights[name] = skipped
-            flat = [each.permute(0, 2, 3, 1).reshape(-1, each.shape[1]) for each in (skipped, risen)]
-            weights[f"narrow.{part[1]}.weight"] = torch.linalg.lstsq(*flat).solution[:, :, None, None]
-    return weights

@@ -35,7 +35,7 @@ from tools.training.data import Data, batch, joined, load, shards_in
 from tools.training.kinds import KINDS, SHARES
 from tools.training.looks import other_looks
 from tools.training.loss import FIGURES, LOSSES, halved
-from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, averaged, grow, like, make
+from tools.training.network import NETS, Net, ShearNet, averaged, like, make
 from tools.training.shipped import shipped
 from tools.training.torn import spoil
 
@@ -65,10 +65,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
-    parser.add_argument("--added", action="store_true", help="levels are added, not joined (`Net`)")
-    parser.add_argument(
-        "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
-    )
     parser.add_argument("--shipped", metavar="NAME", help="the shipped weights of that name begin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
@@ -118,18 +114,11 @@ class Run:
     def _begin(self) -> Net | ShearNet:
         """Make the network with its initial weights."""
         args = self.args
-        net = make(args.net, args.fold, args.widths, args.added, args.cells)
+        net = make(args.net, args.fold, args.widths, args.cells)
         if args.shipped:
             check = self.check.values()
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0].cpu() for frames in check]
             shipped(net, args.shipped, some)
-        if args.start is None:
-            return net
-        begun = averaged(torch.load(args.start, weights_only=True, map_location="cpu"))
-        if args.added and "narrow.0.weight" not in begun:
-            begun = add_in_place_of_joining(begun)
-        fresh = net.state_dict()
-        grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
         return net
 
     def batch(self) -> Batch:
@@ -254,11 +243,6 @@ def tear(x: Tensor, height: Tensor, contact: Tensor, fold: int, rng: np.random.G
     untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
     x[:, : fold**2] = functional.pixel_unshuffle(white[:, None], fold)
     return untrusted
-
-
-def _fits(old: Tensor, new: Tensor) -> bool:
-    """Whether weights fit into others in every dimension."""
-    return old.dim() == new.dim() and all(a <= b for a, b in zip(old.shape, new.shape, strict=True))
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ BODIES: Final[dict[str, Shape]] = {
 }
 ALONG_MM: Final = {"box": 40.0, "cylinder": 40.0, "ball": 16.0}
 FAMILIES: Final = ("5", "other:31", "two-scales:3")
-FINAL_FAMILIES: Final = ("9018", "other:9018", "two-scales:9018")
+FINAL_FAMILIES: Final = ("9021", "other:9021", "two-scales:9021")
 _HOME: Final = Rigid(np.eye(3), np.zeros(3))
 
 

@@ -41,7 +41,7 @@ def two_scales(seed: int | None) -> OtherSensor:
 
 
 FAMILIES.update({"other": other, "square": square, "capped": capped, "two-scales": two_scales})
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (18, 19, 20))
+FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (21, 22, 23))
 
 
 def sensor_name(text: str) -> SensorName:
