@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 PROFILES = ("accurate", "balanced", "fast")
 LIMITS_ORDER = ("fast", "balanced", "accurate")
 FAMILIES = {"training family": "tacshade", "other family": "other"}
-WORDS = ("none", "one", "two", "three", "four", "five")
+WORDS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 Claims = Iterable[str]
 """Sentences and lines; spaces and line ends count alike."""
 
