@@ -1,4 +1,4 @@
-"""Give sensors other looks and frames fresh disturbances, so that no frame is seen twice in training."""
+"""Give some of the sensors other looks, and their frames fresh disturbances."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ def other_looks(maps: Tensor, generator: torch.Generator) -> Tensor:
         pad = (1, 1, 0, 0) if dim == 3 else (0, 0, 1, 1)
         wide, cells = functional.pad(changed, pad, mode="replicate"), maps.shape[dim]
         changed = changed + blur * (wide.narrow(dim, 0, cells) + wide.narrow(dim, 2, cells) - 2 * changed)
-    shown = maps[:, 1:] > 0  # nothing shows outside the disc
-    shown = shown | (maps[:, :1] > 0)
+    shown = (maps > 0).any(1, keepdim=True)  # nothing shows outside the disc
     noise = torch.randn(maps[:, :1].shape, generator=generator, device=maps.device)
     frame = changed[:, :1] * (1 + GAIN * drawn(True)) + NOISE * drawn(False) * noise
     changed = torch.cat((frame, changed[:, 1:]), 1).clamp(0, 1) * shown

@@ -82,9 +82,12 @@ class Run:
         self.check: dict[str, Data] = {}
         self.data: dict[str, Data] = {}
         self.drawn: dict[str, Tensor] = {}
+        self.take_in()
+        if len(self.data) < len(KINDS):
+            print(f"{args.data}: waiting for {VALIDATION_SHARDS + 1} shards of each kind (make_data.py)", flush=True)
         while len(self.data) < len(KINDS):
-            self.take_in()
             time.sleep(WAIT_S)
+            self.take_in()
         self.checkpoint = args.out / "checkpoint.pt"
         self.step, self.began = 0, time.time()
         state: dict[str, Any] | None = None
@@ -106,7 +109,7 @@ class Run:
             self.mean.load_state_dict(state["mean"])
             self.optimiser.load_state_dict(state["optimiser"])
             for group in self.optimiser.param_groups:
-                group["lr"] = self.rate
+                group |= {"lr": self.rate, "capturable": on_gpu, "fused": on_gpu or None}
             self.step = state["step"]
             self.began -= state["seconds"]
         self.learn: Callable[[Batch], Tensor] = Captured(self._learn) if on_gpu else self._learn
@@ -209,7 +212,7 @@ class Run:
 
 
 class Captured:
-    """A step that is captured as a CUDA graph at its third call and replayed from then on."""
+    """A step that is captured as a CUDA graph after `CAPTURED_AFTER` calls and replayed from then on."""
 
     def __init__(self, step: Callable[[Batch], Tensor]) -> None:
         self.step, self.calls = step, 0

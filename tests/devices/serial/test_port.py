@@ -5,12 +5,12 @@ import os
 import pty
 import subprocess
 import sys
-import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from serial import serialutil
 
 from tacshade_edge.devices.serial.port import SerialPort, check_kind
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -59,12 +59,13 @@ def test_a_program_that_does_not_run_for_a_moment(
     line: tuple[int, str], monkeypatch: pytest.MonkeyPatch, write_s: float, taken: bool
 ) -> None:
     # pyserial counts that time against the port, although the port took every byte.
-    whole = os.write
+    whole, now = os.write, [0.0]
 
     def starved(descriptor: int, data: bytes) -> int:
-        time.sleep(0.15)
+        now[0] += 0.15
         return whole(descriptor, data)
 
+    monkeypatch.setattr(serialutil.Timeout, "TIME", staticmethod(lambda: now[0]))
     port = SerialPort(line[1], 115200, write_s)
     port.open()
     monkeypatch.setattr(os, "write", starved)
