@@ -197,12 +197,23 @@ def depth_errors(made: Reconstructor, model: SensorModel, presses: Iterable[tupl
     return np.array(errors)
 
 
+def errors_over_places() -> F64:
+    """Of 30 presses of balls and cubes with `fast`."""
+    places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
+    presses = [(name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)]
+    return depth_errors(reconstructor("fast"), HALF, presses)
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="five of 30 presses miss more; with the networks of 73f27527 two did")
+def test_nine_tenths_of_pressed_depths_are_found_within_15_percent() -> None:
+    assert np.quantile(np.abs(errors_over_places()), 0.9) < 0.15
+
+
 @pytest.mark.slow
 def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> None:
     """One factor for the whole skin has no bias over its places, though it has one in the middle alone."""
-    places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
-    presses = [(name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)]
-    errors = depth_errors(reconstructor("fast"), HALF, presses)
+    errors = errors_over_places()
     assert np.quantile(np.abs(errors), 0.8) < 0.15  # of 30 presses five miss more
     assert np.abs(errors).max() < 0.26  # 0.244
     assert abs(errors.mean()) < 0.05
@@ -357,14 +368,24 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
-@pytest.mark.slow
-def test_an_orthographic_sensor_works() -> None:
+def orthographic_errors() -> F64:
+    """Of balls in the middle of a sensor without perspective, with `balanced`."""
     model = replace(HALF, camera_distance_mm=None)
     seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
     made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["balanced"])
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
-    errors = depth_errors(made, model, product(("ball",), (3.0, 4.0), (0.0,), (0.0,)))
-    assert np.abs(errors).max() < 0.25  # 0.240
+    return depth_errors(made, model, product(("ball",), (3.0, 4.0), (0.0,), (0.0,)))
+
+
+@pytest.mark.slow
+def test_an_orthographic_sensor_works() -> None:
+    assert np.abs(orthographic_errors()).max() < 0.25  # 0.240
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="24 % too deep; with the networks of 73f27527 it was 16 %")
+def test_an_orthographic_sensor_is_as_precise_as_others() -> None:
+    assert np.abs(orthographic_errors()).max() < 0.17
 
 
 @pytest.mark.parametrize(
