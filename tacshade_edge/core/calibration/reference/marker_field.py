@@ -25,8 +25,9 @@ _LEAST_NEIGHBOURS, LEAST_MARKERS = 3, 60
 _MOST_UNEVEN, _EVENNESS = 0.115, 14.0
 # Least part of a field's hull filled by its markers' cells: patterns fill 0.8 or more, strings in noise less.
 _LEAST_FILLED = 0.7
-# A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05 of them.
-_HELD_PART, _SAMPLES = 0.985, 41
+# A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05 of them. A marker
+# that the rim cuts may seem to lie outside by up to this many pitches (0.12 in the simulator).
+_HELD_PART, _CUT_PITCHES, _SAMPLES = 0.985, 0.25, 41
 _HEXAGON = 3**0.5 / 2
 """Area of a lattice cell, in squared pitches."""
 
@@ -55,7 +56,7 @@ class MarkerField:
     def holds(self, disc: Disc) -> bool:
         """Whether nearly all markers lie in a circle."""
         far = np.linalg.norm(self.markers_px - (disc.row_c, disc.col_c), axis=1)
-        return bool(np.mean(far <= disc.radius_px) >= _HELD_PART)
+        return bool(np.mean(far <= disc.radius_px + _CUT_PITCHES * self.pitch_px) >= _HELD_PART)
 
     def filled_part(self, disc: Disc, shape: tuple[int, ...]) -> float:
         """Part of a circle's visible area that lies within a pitch of a marker, 0 to 1."""

@@ -35,9 +35,9 @@ _LEAST_PATTERN = 3.0
 # The variation just outside the rim must be below this part of that just inside.
 _RIM_FALL = 0.5
 # Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field as wide as the
-# image). At the end of the texture the second is enough: the search misses some markers of a faint rim. A ring of lamps
-# around a dome with pins in its middle fills 0.4.
-_FILLED, _HALF_FILLED = 0.75, 0.55
+# image). At the end of the texture the second is enough: the search misses some markers of a faint rim (0.52 is left on
+# a coarse one). The circle of lamps around real domes with pins in their middle is filled by 0.26 to 0.36.
+_FILLED, _HALF_FILLED = 0.75, 0.48
 
 
 def visible_disc(grey: U8, stated: Disc | None) -> Disc:

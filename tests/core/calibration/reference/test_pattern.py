@@ -15,6 +15,7 @@ from tacshade_edge.simulator.render import print_features, project
 from tacshade_edge.simulator.skin import chart_to_direction
 from tacshade_edge.types import U8
 from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references, simulated
+from tools.testbed.simulator.families import sensor_name
 
 MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {f"random {k}": random_sensor(k) for k in range(6)}
 
@@ -41,6 +42,13 @@ def test_the_visible_circle_and_the_pitch_are_found(name: str) -> None:
     assert np.hypot(disc.row_c - model.row_c, disc.col_c - model.col_c) < 0.5
     assert disc.radius_px == pytest.approx(model.disc_radius_px, rel=0.005)
     assert marker_pitch_px(grey, disc) == pytest.approx(tip_pitch_px(model), rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["other:33", "other:55", "other:56", "123"])
+def test_neither_a_marker_that_the_rim_cuts_nor_a_coarse_faint_rim_moves_the_circle(name: str) -> None:
+    sensor = sensor_name(name).make()
+    disc = find_disc(to_grey(sensor.frame((), 1000).image))
+    assert disc.radius_px == pytest.approx(sensor.model.disc_radius_px, rel=0.005)
 
 
 def test_models_under_test_have_both_surrounds() -> None:
