@@ -22,7 +22,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -292,7 +292,7 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
 
 
 def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list[list[str]]:
-    """Lines of the table of changes: ME after the fit over that before, where a fit that is not kept changes nothing."""
+    """Lines of the table of changes: ME after the fit over that before; a fit that is not kept changes nothing."""
     lines = []
     for profile in LADDER:
         ratios: dict[str, list[float]] = {"pressed": [], "dragged": [], "beyond": []}
