@@ -204,7 +204,7 @@ def _advice(presses: Sequence[KnownPress], reports: Sequence[ProfileReport]) -> 
     """Advice on the presses that would help most, the most useful first."""
     advice = []
     if all(press.indenter is None for press in presses):
-        advice.append("also press flat ends, a box and a lying bar: with balls alone the fit is a quarter worse")
+        advice.append("also press flat ends, a box and a lying bar: balls alone show less of other shapes")
     if len(presses) < ENOUGH_PRESSES:
         advice.append(f"take {ENOUGH_PRESSES - len(presses)} more presses")
     errors = reports[0].fitted_mm

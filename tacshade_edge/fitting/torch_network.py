@@ -40,7 +40,7 @@ OPERATIONS: dict[str, Operation] = {
 
 
 class TorchNetwork:
-    """The network that runs for every frame, with a gain and a bias for each output channel of its convolutions.
+    """The network that runs for every frame, with a scale and a bias for each output channel of its convolutions.
 
     A sensor's code of about 1500 numbers: presses of a few shapes can hardly teach these anything but the sensor, while
     all weights would learn the shapes, too (decision 8; E. Perez et al., "FiLM", AAAI 2018).
@@ -72,7 +72,7 @@ class TorchNetwork:
             at += size
         self.sensors = torch.from_numpy(np.stack(sensors))[:, None]
         self._scale_heights(height_factor)
-        self._gains = {
+        self._scales = {
             name: torch.ones(len(weight), 1, 1, 1) for name, weight in self._weights.items() if weight.dim() == 4
         }
         for each in self.parameters():
@@ -80,7 +80,7 @@ class TorchNetwork:
 
     def parameters(self) -> list[Tensor]:
         """The tensors that training changes."""
-        return [*self._gains.values(), *(each for each in self._weights.values() if each.dim() == 1)]
+        return [*self._scales.values(), *(each for each in self._weights.values() if each.dim() == 1)]
 
     def __call__(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, Tensor]:
         """Run frames to depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
@@ -104,7 +104,7 @@ class TorchNetwork:
 
     def _scaled(self) -> dict[str, Tensor]:
         return {
-            name: weight * self._gains[name] if name in self._gains else weight
+            name: weight * self._scales[name] if name in self._scales else weight
             for name, weight in self._weights.items()
         }
 

@@ -41,7 +41,7 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(half[folded:], expected.depth_and_contact[folded:], atol=2e-4)
 
 
-def test_gains_and_biases_are_all_that_training_changes() -> None:
+def test_scales_and_biases_are_all_that_training_changes() -> None:
     from tacshade_edge.fitting.torch_network import TorchNetwork
 
     frame = network_files("fast")[0]
