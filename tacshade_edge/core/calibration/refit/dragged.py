@@ -1,6 +1,6 @@
 """Show a press as if its indenter had dragged the skin, by warping the press's own picture.
 
-An indenter that sticks takes the skin under it along. Next to it, the displacement decays over a length λt towards the
+An indenter that sticks takes the skin under it along. Next to it, this motion decays over a length λt towards the
 sway of the whole dome (`simulator.drag`), and ends at the rim. Picture and known h move alike, so presses straight down
 also show how the network has to read drags. Changes of light and of perspective over a few mm are left out.
 """
