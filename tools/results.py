@@ -315,11 +315,12 @@ the least pressed one serves as the reference. {FOLLOWED}""",
     "fit": Page(
         "What `calibrate --fit` is worth",
         """\
-Simulated sensors of the other family and the default sensor are calibrated on 5 references and 40 presses up to 4.5 mm
-deep (balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: only balls) with errors in the stated
-values, and fitted to the same presses. The paper's five objects judge the fits at 3 places, 1.5, 3 and 4.5 mm deep,
-and at 6 mm, a third deeper than the deepest press. "Worst" is the worst object's mean. A fit that is no better on
-held-out presses is dropped. ME, SD and IoU are as for [the paper's five objects](objects.md).""",
+Simulated sensors (numbers: the trained family) are calibrated on 5 references and 40 presses up to 4.5 mm deep (balls
+of three sizes, flat ends of two, a square, a lying bar; `/balls`: only balls) with errors in the stated values, and
+fitted to the same presses. The paper's five objects judge the fits at 3 places: 1.5, 3 and 4.5 mm deep, dragged by
+2 mm, and 6 mm deep, a third deeper than the deepest press. "Worst" is the worst object's mean, but in the first table
+the worst sensor. A fit that is no better on held-out presses is dropped. ME, SD and IoU are as for
+[the paper's five objects](objects.md).""",
         ("tools.studies.fit", "--folder", "out/fit"),
         (*SCORED, *package("fitting")),
     ),

@@ -20,6 +20,7 @@ from tacshade_edge.core.calibration.refit.press_targets import (
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.fitting import training
+from tacshade_edge.fitting.rehearsal import rehearsal
 from tacshade_edge.fitting.torch_network import TorchNetwork
 from tacshade_edge.inference.network import load_network, network_files, shipped_layout
 from tacshade_edge.inference.onnx_weights import values_of
@@ -27,8 +28,8 @@ from tacshade_edge.types import Calibration, FittedNetwork
 
 LEAST_PRESSES, ENOUGH_PRESSES = 16, 40
 """`fit` refuses fewer presses than the first; below the second it advises taking more."""
-LEAST_GAIN = 0.05
-"""Least relative reduction of the shipped network's error; less may be chance: the same presses chose the weights."""
+DRAGS = 2
+"""Number of times that each press is shown dragged, too."""
 ORDER = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
 """The default profile's network first."""
 _SAY_S = 5.0
@@ -44,25 +45,41 @@ class ProfileReport:
     Attributes
     ----------
     profile : str
-    shipped_mm, fitted_mm : mapping of str to float
+    shipped_mm, fitted_mm : dict of str to float
         Mean error for each indenter; `fitted_mm` is that of the trained network, kept or not.
-    kept : bool
-        Whether the trained network is better than the shipped one and goes into the calibration.
+    shipped_dragged_mm, fitted_dragged_mm : dict of str to float
+        The same where the presses are shown dragged; empty if the network recognises none of these pictures.
     """
 
     profile: str
     shipped_mm: dict[str, float]
     fitted_mm: dict[str, float]
-    kept: bool
+    shipped_dragged_mm: dict[str, float]
+    fitted_dragged_mm: dict[str, float]
+
+    @property
+    def kept(self) -> bool:
+        """Whether the trained network goes into the calibration: pressed and dragged together, it is better."""
+        shipped_mm, fitted_mm = _mean(self.shipped_mm), _mean(self.fitted_mm)
+        if self.shipped_dragged_mm:
+            shipped_mm, fitted_mm = (
+                shipped_mm + _mean(self.shipped_dragged_mm),
+                fitted_mm + _mean(self.fitted_dragged_mm),
+            )
+        return fitted_mm < shipped_mm
 
     @property
     def line(self) -> str:
         """The report as one line of text."""
         each = ", ".join(f"{name} {error:.2f}" for name, error in sorted(self.fitted_mm.items()))
+        dragged = ""
+        if self.shipped_dragged_mm:
+            now_mm, was_mm = _mean(self.fitted_dragged_mm), _mean(self.shipped_dragged_mm)
+            dragged = f"; dragged, {now_mm:.2f} mm, {was_mm:.2f} mm as shipped"
         kept = "" if self.kept else "; that is no better, so the shipped network stays"
         return (
             f"fit of {self.profile}: off by {_mean(self.fitted_mm):.2f} mm on held-out presses, "
-            f"{_mean(self.shipped_mm):.2f} mm as shipped ({each}){kept}"
+            f"{_mean(self.shipped_mm):.2f} mm as shipped ({each}){dragged}{kept}"
         )
 
 
@@ -122,33 +139,40 @@ class _Run:
         self._weights = profile.network or name
         self._shipped = load_network(self._weights)
         self._factor = calibration.factors[name]
-        self._judge = press_targets(calibration, profile, self._shipped, judge)
-        trained = press_targets(calibration, profile, self._shipped, train)
-        if not trained.presses or not self._judge.presses:
+        self._judge = press_targets(calibration, profile, self._shipped, judge, DRAGS)
+        trained = press_targets(calibration, profile, self._shipped, train, DRAGS)
+        if not _undragged(trained).presses or not _undragged(self._judge).presses:
             raise ConfigError(f"--fit: {name} finds a contact under the indenter in too few presses")
         frame, self._once = network_files(self._weights)
         self._network = TorchNetwork(frame, trained.sensors, self._factor)
-        self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, self._judge)
+        frames = rehearsal(self._shipped, profile.cells)
+        self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, frames)
 
     def result(self) -> tuple[FittedNetwork, ProfileReport]:
         """The trained network and the report on it, measured as it will run."""
-        correction = self._network.correction.detach()[0].numpy()
+        held, sensor = _undragged(self._judge), self._judge.sensors[0]
+        correction = np.zeros_like(sensor)
         made = FittedNetwork(
             shipped_layout(self._weights),
             np.concatenate((self._network.flat(), values_of(self._once))),
             correction,
-            len(self._judge.presses),
+            len(held.presses),
             error_mm=0.0,
             shipped_error_mm=0.0,
         )
-        network, sensor = load_network(self._weights, made), self._judge.sensors[0]
-        before = _of_each(self._judge, known_errors_mm(self._judge, self._shipped, sensor, self._factor))
-        after = _of_each(self._judge, known_errors_mm(self._judge, network, sensor + correction))
-        error_mm, shipped_mm = _mean(after), _mean(before)
-        scale = fitted_error_scale(self._judge, network, sensor + correction, self._geometry)
+        network = load_network(self._weights, made)
+        before = known_errors_mm(self._judge, self._shipped, sensor, self._factor)
+        after = known_errors_mm(self._judge, network, sensor)
+        of_each = [_of_each(self._judge, errors, dragged) for dragged in (False, True) for errors in (before, after)]
+        report = ProfileReport(self.name, *of_each)
+        scale = fitted_error_scale(held, network, sensor, self._geometry)
+        error_mm, shipped_mm = _mean(report.fitted_mm), _mean(report.shipped_mm)
         made = FittedNetwork(made.layout, made.weights, correction, made.held_out, error_mm, shipped_mm, scale)
-        kept = error_mm < (1 - LEAST_GAIN) * shipped_mm
-        return made, ProfileReport(self.name, before, after, kept)
+        return made, report
+
+
+def _undragged(targets: Targets) -> Targets:
+    return replace(targets, presses=tuple(press for press in targets.presses if not press.dragged))
 
 
 def _train(run: _Run, later: Sequence[_Run], what: str, say: Say) -> None:
@@ -162,11 +186,12 @@ def _train(run: _Run, later: Sequence[_Run], what: str, say: Say) -> None:
             say(f"{what}: step {step} of {training.STEPS}, {left_s:.0f} s left at most")
 
 
-def _of_each(targets: Targets, errors_mm: Sequence[float]) -> dict[str, float]:
-    """Mean error for each indenter, mm."""
+def _of_each(targets: Targets, errors_mm: Sequence[float], dragged: bool) -> dict[str, float]:
+    """Mean error for each indenter, mm, of the presses that are shown dragged, or of the others."""
     errors = defaultdict(list)
     for press, error in zip(targets.presses, errors_mm, strict=True):
-        errors[press.indenter].append(error)
+        if press.dragged == dragged:
+            errors[press.indenter].append(error)
     return {name: float(np.mean(each)) for name, each in errors.items()}
 
 
@@ -179,7 +204,7 @@ def _advice(presses: Sequence[KnownPress], reports: Sequence[ProfileReport]) -> 
     """Advice on the presses that would help most, the most useful first."""
     advice = []
     if all(press.indenter is None for press in presses):
-        advice.append("also press flat ends, a box and a lying bar: with balls alone the fit is a quarter worse")
+        advice.append("also press flat ends, a box and a lying bar: balls alone show less of other shapes")
     if len(presses) < ENOUGH_PRESSES:
         advice.append(f"take {ENOUGH_PRESSES - len(presses)} more presses")
     errors = reports[0].fitted_mm

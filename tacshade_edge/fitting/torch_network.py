@@ -1,4 +1,4 @@
-"""A shipped network as PyTorch trains it, built from its ONNX file so that the network has only one definition."""
+"""A shipped network as a fit changes it, built from its ONNX file so that the network has only one definition."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ OPERATIONS: dict[str, Operation] = {
 
 
 class TorchNetwork:
-    """The network that runs for every frame, and a correction to what the sensor adds to its first layer.
+    """The network that runs for every frame, with a scale and a bias for each output channel of its convolutions.
+
+    A sensor's code of 520 to 1378 numbers: presses of a few shapes can hardly teach these anything but the sensor, while
+    all weights would learn the shapes, too (decision 8; E. Perez et al., "FiLM", AAAI 2018).
 
     Parameters
     ----------
@@ -68,32 +71,27 @@ class TorchNetwork:
             self._weights[weight.name] = values[at : at + size].reshape(weight.shape).clone()
             at += size
         self.sensors = torch.from_numpy(np.stack(sensors))[:, None]
-        self.correction = torch.zeros_like(self.sensors[0])
         self._scale_heights(height_factor)
+        self._scales = {
+            name: torch.ones(len(weight), 1, 1, 1) for name, weight in self._weights.items() if weight.dim() == 4
+        }
         for each in self.parameters():
             each.requires_grad_()
 
     def parameters(self) -> list[Tensor]:
         """The tensors that training changes."""
-        return [*self._weights.values(), self.correction]
+        return [*self._scales.values(), *(each for each in self._weights.values() if each.dim() == 1)]
 
-    def copy(self) -> list[Tensor]:
-        """A copy of `parameters` as they are now."""
-        return [each.detach().clone() for each in self.parameters()]
+    def __call__(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, Tensor]:
+        """Run frames to depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
 
-    def restore(self, copied: Sequence[Tensor]) -> None:
-        """Set `parameters` to copied values."""
-        with torch.no_grad():
-            for each, was in zip(self.parameters(), copied, strict=True):
-                each.copy_(was)
-
-    def __call__(self, white: Tensor, view: int = 0) -> tuple[Tensor, Tensor]:
-        """Run frames (B, fold², N, N) to depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
-
-        `view` is the sensor's index in `sensors`; the correction applies only to the first.
+        Parameters
+        ----------
+        white : Tensor float32 (B, fold², N, N)
+        sensor : Tensor float32 (1 or B, channels, N, N)
+            What the sensor of all frames, or of each, adds to the first layer.
         """
-        values: dict[str, Tensor] = dict(self._weights)
-        values |= {"white": white, "sensor": self.sensors[view] + (0 if view else self.correction)}
+        values = self._scaled() | {"white": white, "sensor": sensor}
         for node in self._nodes:
             given = [values[name] for name in node.inputs if name in values]
             values[node.output] = OPERATIONS[node.kind](node.attributes, given)
@@ -101,8 +99,14 @@ class TorchNetwork:
 
     def flat(self) -> F32:
         """All weights end to end, in the order of `onnx_weights.values_of`."""
-        flat: F32 = torch.cat([weight.detach().flatten() for weight in self._weights.values()]).numpy()
+        flat: F32 = torch.cat([weight.detach().flatten() for weight in self._scaled().values()]).numpy()
         return flat
+
+    def _scaled(self) -> dict[str, Tensor]:
+        return {
+            name: weight * self._scales[name] if name in self._scales else weight
+            for name, weight in self._weights.items()
+        }
 
     def _scale_heights(self, factor: float) -> None:
         """Multiply the half of the head that predicts h."""

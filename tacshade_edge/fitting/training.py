@@ -1,4 +1,4 @@
-"""Trains a network further with presses: the loss, the steps, and when to stop."""
+"""Trains a network further with presses, and rehearses what it knows of other sensors: the losses and the steps."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from tacshade_edge.core.calibration.refit.press_targets import VIEWS, PressTarget, Targets
+from tacshade_edge.fitting.rehearsal import Rehearsal
 from tacshade_edge.fitting.torch_network import TorchNetwork
 
 STEPS, BATCH = 300, 12
-RATE = 5e-4
+RATE = 5e-3
 """Greatest learning rate of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
 OWN_PART = 0.3
 """Share of the steps that always see the sensor as it is; the others draw one of `VIEWS`."""
-WAY_PART = 0.5
-"""How far to go from the shipped weights (0) to the trained ones (1): objects unlike those pressed are read better."""
-LOOK_STEPS, PATIENCE_STEPS = 20, 120
-"""Steps between two checks on the held-out presses, and steps after the best check at which training stops."""
-HIGH_PART = 0.4
-"""Share of the steps before the first check: at a high learning rate, the result on a few presses is chance."""
+REHEARSAL_WEIGHT, REHEARSED_AT_ONCE = 0.3, 48
 OUTLINE_WEIGHT, FAR_WEIGHT, UNTRUSTED_WEIGHT = 2.0, 1.0, 0.5
 MORE_CELLS = 20
 """Added to the cell count that divides a press's loss, so that a small press weighs less than a wide one."""
@@ -84,7 +80,7 @@ class Batch:
 
 def loss(network: TorchNetwork, fold: int, batch: Batch, factor: float, view: int = 0) -> Tensor:
     """Loss of a network on presses; `factor` is the one on the shipped network's heights."""
-    folded, untrusted = network(batch.white, view)
+    folded, untrusted = network(batch.white, network.sensors[view])
     height, logit = functional.pixel_shuffle(folded, fold).unbind(1)
     level = _per_press((height - batch.surface).abs(), batch.known)
     # Where the skin has lifted off the indenter, it lies deeper than the indenter's surface.
@@ -105,6 +101,40 @@ def _per_press(values: Tensor, weight: Tensor) -> Tensor:
     return ((values * weight).sum((1, 2)) / (weight.sum((1, 2)) + MORE_CELLS)).mean()
 
 
+class Known:
+    """What a network says of the frames to rehearse, before its training."""
+
+    def __init__(self, network: TorchNetwork, fold: int, frames: Rehearsal) -> None:
+        self._network, self._fold, self._frames = network, fold, frames
+        with torch.no_grad():
+            parts = [self._run(some) for some in torch.arange(len(frames)).split(REHEARSED_AT_ONCE)]
+        self._maps, self._untrusted = (torch.cat(part) for part in zip(*parts, strict=True))
+
+    def loss(self, which: Tensor) -> Tensor:
+        """The loss of frames with the given numbers: how much their results have changed."""
+        maps, untrusted = self._run(which)
+        height, logit = maps.unbind(1)
+        was_height, was = self._maps[which].unbind(1)
+        off, touched = (height - was_height).abs(), (was > 0).float()
+        outline = functional.binary_cross_entropy_with_logits(logit, was.sigmoid(), reduction="none")
+        strange = functional.binary_cross_entropy_with_logits(untrusted, self._untrusted[which].sigmoid())
+        return (
+            _per_press(off, touched)
+            + FAR_WEIGHT * _per_press(off, 1 - touched)
+            + OUTLINE_WEIGHT * _per_press(outline, torch.ones_like(outline))
+            + UNTRUSTED_WEIGHT * strange
+        )
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self._frames)
+
+    def _run(self, which: Tensor) -> tuple[Tensor, Tensor]:
+        frames = self._frames
+        folded, untrusted = self._network(frames.white[which], frames.sensors[frames.sensor[which]])
+        return functional.pixel_shuffle(folded, self._fold), untrusted
+
+
 class Training:
     """A network in training.
 
@@ -114,13 +144,14 @@ class Training:
     fold : int
     factor : float
         Multiplies the shipped network's heights.
-    train, held_out : Targets
-        At least one press each.
+    train : Targets
+        At least one press.
+    frames : Rehearsal
     """
 
-    def __init__(self, network: TorchNetwork, fold: int, factor: float, train: Targets, held_out: Targets) -> None:
+    def __init__(self, network: TorchNetwork, fold: int, factor: float, train: Targets, frames: Rehearsal) -> None:
         self._network, self._fold, self._factor = network, fold, factor
-        self._train, self._held_out = Batch.of(train.presses), Batch.of(held_out.presses)
+        self._train, self._known = Batch.of(train.presses), Known(network, fold, frames)
         self._count = len(train.presses)
         self._optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
         self._schedule = torch.optim.lr_scheduler.OneCycleLR(self._optimizer, RATE, total_steps=STEPS)
@@ -128,38 +159,26 @@ class Training:
         self.step_s = self._step_s()
 
     def steps(self) -> Iterator[int]:
-        """Train, and yield the number of steps done after each; at the end set the network to `WAY_PART` of the way."""
-        shipped = weights = self._network.copy()
-        best, best_step = self._look(), round(HIGH_PART * STEPS)
+        """Train, and yield the number of steps done after each."""
         for step in range(1, STEPS + 1):
             self._step()
             yield step
-            if step > HIGH_PART * STEPS and (step % LOOK_STEPS == 0 or step == STEPS):
-                now = self._look()
-                if now < best:
-                    best, best_step, weights = now, step, self._network.copy()
-                if step - best_step >= PATIENCE_STEPS:
-                    break
-        # Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022.
-        self._network.restore([torch.lerp(a, b, WAY_PART) for a, b in zip(shipped, weights, strict=True)])
 
     def _step(self) -> None:
         which = torch.randperm(self._count, generator=self._draw)[:BATCH]
         self._optimizer.zero_grad(set_to_none=True)
         own = float(torch.rand((), generator=self._draw)) < OWN_PART
         view = 0 if own else int(torch.randint(len(VIEWS), (), generator=self._draw))
-        batch = self._train.some(which).seen_as(view, self._fold)
-        loss(self._network, self._fold, batch, self._factor, view).backward()
+        self._loss(which, view).backward()
         self._optimizer.step()
         self._schedule.step()
 
-    def _look(self) -> float:
-        """Mean error of h at the known cells of the held-out presses, each press with the same weight."""
-        with torch.no_grad():
-            folded, _ = self._network(self._held_out.white)
-        off = (functional.pixel_shuffle(folded, self._fold)[:, 0] - self._held_out.surface).abs()
-        known = self._held_out.known
-        return float(((off * known).sum((1, 2)) / known.sum((1, 2))).mean())
+    def _loss(self, which: Tensor, view: int) -> Tensor:
+        """Loss of presses with the given numbers and of as many drawn frames."""
+        batch = self._train.some(which).seen_as(view, self._fold)
+        rehearsed = torch.randint(len(self._known), (BATCH,), generator=self._draw)
+        own = loss(self._network, self._fold, batch, self._factor, view)
+        return own + REHEARSAL_WEIGHT * self._known.loss(rehearsed)
 
     def _step_s(self) -> float:
         """Duration of a training step, s; measuring it changes no weight."""
@@ -167,7 +186,7 @@ class Training:
         taken = []
         for _ in range(3):
             began_s = time.monotonic()
-            loss(self._network, self._fold, self._train.some(which), self._factor).backward()
+            self._loss(which, 0).backward()
             taken.append(time.monotonic() - began_s)
         self._optimizer.zero_grad(set_to_none=True)
         return min(taken)

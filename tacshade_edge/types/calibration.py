@@ -71,7 +71,7 @@ class FittedNetwork:
         All weights, in the order of the shipped file.
     correction : float32 (channels, N, N)
         Added to what the sensor's reference adds to the first layer (`core.depth.Network.sense`), even after the
-        reference has changed.
+        reference has changed; 0 in new fits.
     held_out : int
         Number of presses kept out of the training, which decided whether to keep the network.
     error_mm, shipped_error_mm : float

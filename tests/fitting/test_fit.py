@@ -97,6 +97,29 @@ def test_the_default_profile_is_the_first_and_its_time_is_told(monkeypatch: pyte
     assert result.advice[1] == "take 20 more presses"
 
 
+@pytest.mark.parametrize(
+    ("pressed", "dragged", "kept"),
+    [
+        ((0.3, 0.2), (0.4, 0.4), True),
+        ((0.3, 0.2), (), True),
+        ((0.3, 0.31), (0.4, 0.38), True),
+        ((0.3, 0.28), (0.4, 0.43), False),
+        ((0.3, 0.3), (), False),
+    ],
+)
+def test_a_fit_is_kept_if_it_helps_presses_and_drags_together(
+    pressed: tuple[float, ...], dragged: tuple[float, ...], kept: bool
+) -> None:
+    from tacshade_edge.fitting.fit import ProfileReport
+
+    before, after = ({"ball": mm} for mm in pressed)
+    was, now = ({"ball": mm} for mm in dragged) if dragged else ({}, {})
+    report = ProfileReport("fast", before, after, was, now)
+    assert report.kept == kept
+    assert ("dragged, " in report.line) == bool(dragged)
+    assert ("the shipped network stays" in report.line) != kept
+
+
 def test_too_few_presses_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"--fit: found 15 usable presses, expected at least 16"):
         fit(calibrated(), presses()[:15], lambda _: None)

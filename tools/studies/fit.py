@@ -22,7 +22,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -50,7 +50,10 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.testbed.simulator.families import sensor_name
 
-CASES = "other:31,other:32,other:33,default,other:31/balls,other:32/balls,other:33/balls"
+CASES = (
+    "default,5,11,12,21,50,51,52,other:31,other:32,other:33,other:34,other:35,other:36,capped:41,two-scales:44,"
+    "other:31/balls,other:33/balls"
+)
 PRESSES = 40
 REFERENCES = 5
 PRESSED_MM = (0.6, 4.5)
@@ -288,6 +291,30 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
     return lines
 
 
+def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list[list[str]]:
+    """Lines of the table of changes: ME after the fit over that before; a fit that is not kept changes nothing."""
+    lines = []
+    for profile in LADDER:
+        ratios: dict[str, list[float]] = {"pressed": [], "dragged": [], "beyond": []}
+        for kept, rows in of_cases:
+            for judged, of_judged in ratios.items():
+                before, after = (
+                    np.mean(
+                        of_objects([r for r in rows if (r.profile, r.judged, r.what) == (profile, judged, w)], "me_mm")
+                    )
+                    for w in ("shipped", "fitted")
+                )
+                of_judged.append(float(after / before) if kept[profile] else 1.0)
+        half = np.mean([ratios["pressed"], ratios["dragged"]], axis=0)
+        cells = [
+            cell
+            for each in (ratios["pressed"], ratios["dragged"], half, ratios["beyond"])
+            for cell in (f"{np.mean(each):.2f}", f"{max(each):.2f}")
+        ]
+        lines.append([profile, f"{sum(kept[profile] for kept, _ in of_cases)} of {len(of_cases)}", *cells])
+    return lines
+
+
 def main() -> None:
     """Fit and judge every case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -295,11 +322,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     parser.add_argument("--threads", type=int, default=2, help="of PyTorch")
     args = parser.parse_args()
-    accurate, drags, costs = [], [], []
+    accurate, drags, costs, of_cases = [], [], [], []
     for case in args.cases.split(","):
         found = of_case(case, args.threads, args.folder)
         print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
         rows = [Judged(**row) for row in found["rows"]]
+        of_cases.append((found["reports"], rows))
         accurate += accuracy(case, found["reports"], rows)
         drags += dragged(case, rows)
         both = [found["cost"]["shipped"], found["cost"]["fitted"]]
@@ -313,6 +341,14 @@ def main() -> None:
     def pairs(*names: str) -> list[str]:
         return [f"{name} {what}" for name in names for what in ("shipped", "fitted")]
 
+    print("ME after the fit over ME before, of objects that were not pressed; a fit that is not kept counts as 1.00\n")
+    of_each = [
+        f"{judged} {what}"
+        for judged in ("pressed", "dragged", "half of each", "6 mm deep")
+        for what in ("mean", "worst")
+    ]
+    print(markdown(["method", "kept", *of_each], changes(of_cases)))
+    print("\nEach sensor\n")
     first = ["sensor", "method"]
     print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")

@@ -73,8 +73,10 @@ class Samples:
 
     Attributes
     ----------
+    seen : Geometry
+        As calibration found it.
+    pitch_px : float
     reference : uint8 (N, N)
-    known : float32 (6, N, N)
     frame : uint8 (F, N, N)
     height : float16 (F, N, N)
         h in disc radii; 0 outside the disc.
@@ -83,12 +85,18 @@ class Samples:
         Shear along x and y in disc radii, at the middles of squares of 2x2 cells; 0 outside the disc.
     """
 
+    seen: Geometry
+    pitch_px: float
     reference: U8
-    known: F32
     frame: U8
     height: np.typing.NDArray[np.float16]
     contact: Bool
     shear: np.typing.NDArray[np.float16]
+
+    @property
+    def known(self) -> F32:
+        """The maps of what is known of the sensor: float32 (6, N, N)."""
+        return disc_map.geometry_maps(self.seen, self.pitch_px)
 
 
 def training_model(seed: int) -> SensorModel:
@@ -383,8 +391,9 @@ def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng:
         contacts.append(contact)
         shears.append(true_shear(skin, model, disc).astype(np.float16))
     return Samples(
+        seen=view.seen,
+        pitch_px=view.pitch_px,
         reference=view.reference,
-        known=disc_map.geometry_maps(view.seen, view.pitch_px),
         frame=np.stack(maps),
         height=np.stack(heights),
         contact=np.stack(contacts),

@@ -15,6 +15,14 @@ import numpy as np
 
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.refit import gain
+from tacshade_edge.core.calibration.refit.dragged import (
+    Drag,
+    dragged_map,
+    dragged_picture,
+    moved_part,
+    pixels_of,
+    random_drags,
+)
 from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma
 from tacshade_edge.core.calibration.refit.profile_refit import placed_press
 from tacshade_edge.core.depth import Network
@@ -23,12 +31,14 @@ from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, un
 from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.sensor_rays import rays_in_image
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import F32, Bool, Calibration, Geometry, freeze
+from tacshade_edge.types import F32, U8, Bool, Calibration, Geometry, freeze
 
 _FAR_CELLS = 3
 """Least distance from a contact, on a map of `disc_map.CELLS`, at which h has a target; nearer, h is free."""
+_MOSTLY, _NO_CONTACT = 0.75, -8.0
+"""Least part of a dragged cell that h must be known in, and the log odds of contact beyond the map."""
 _EACH = 5
 """One press in this many is held out."""
 
@@ -45,6 +55,8 @@ class PressTarget:
     Attributes
     ----------
     name, indenter : str
+    dragged : bool
+        Whether the picture is `dragged`.
     white : float32 (fold², N, N), 0 to 1
         Input of the network.
     surface : float32 (cells, cells)
@@ -62,6 +74,7 @@ class PressTarget:
 
     name: str
     indenter: str
+    dragged: bool
     white: F32
     surface: F32
     known: Bool
@@ -95,7 +108,7 @@ class Targets:
 
 
 def press_targets(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress], drags: int = 0
 ) -> Targets:
     """Make targets from presses and the profile's shipped network, without presses that it misses.
 
@@ -107,46 +120,85 @@ def press_targets(
     network : Network
         The shipped network.
     presses : sequence of KnownPress
+    drags : int
+        Number of times that each press is shown dragged, too (`dragged`). The same presses are dragged in the same way.
     """
-    geometry = calibration.geometry
-    preprocessor = Preprocessor(calibration, profile)
-    solver = LearnedSolver(preprocessor, network)
-    inside = rays_in_image(solver.grid, calibration).inside
-    unit_mm = scale_mm(geometry)
+    maker = _TargetMaker(calibration, profile, network)
+    rng = np.random.default_rng(0)
     targets = []
     for press in presses:
-        seen = preprocessor.preprocess(preprocessor.grey(press.image))
-        inverse = solver.inverse(seen)
+        for drag in (None, *random_drags(calibration.geometry, drags, rng)):
+            target = maker.target(press, drag)
+            if target is not None:
+                targets.append(target)
+    return Targets(tuple(targets), maker.sensors(), maker.unit_mm)
+
+
+class _TargetMaker:
+    """Makes targets for a network from presses of one sensor."""
+
+    def __init__(self, calibration: Calibration, profile: Profile, network: Network) -> None:
+        self._calibration, self._network = calibration, network
+        self._preprocessor = Preprocessor(calibration, profile)
+        self._solver = LearnedSolver(self._preprocessor, network)
+        self._inside = rays_in_image(self._solver.grid, calibration).inside
+        self.unit_mm = float(scale_mm(calibration.geometry))
+
+    def sensors(self) -> tuple[F32, ...]:
+        """See `Targets`."""
+        calibrated, network = self._preprocessor.calibration, self._network
+        return tuple(
+            network.sense(
+                known_maps(
+                    calibrated.geometry, calibrated.pitch_px, seen_as(self._solver.reference, view), network.fold
+                )
+            )
+            for view in VIEWS
+        )
+
+    def target(self, press: KnownPress, drag: Drag | None) -> PressTarget | None:
+        """The target of a press; None if the network misses its contact, or does not recognise the skin."""
+        geometry = self._calibration.geometry
+        seen, inverse = self._read(press.image)
         at = placed_press(geometry, inverse, press)
-        if at is None or untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside) > UNTRUSTED_UNLEARNT:
-            continue
+        if at is None or not self._recognised(inverse):
+            return None
         surface: F32 = np.nan_to_num(gain.known_height(geometry, at, len(inverse.height_mm)))
         np.maximum(surface, np.float32(0), out=surface)
-        known = (surface > 0) & (inverse.contact_logit > 0) & inside
+        known = (surface > 0) & (inverse.contact_logit > 0) & self._inside
+        contact_logit = inverse.contact_logit
+        if drag is not None and np.count_nonzero(known) >= gain.LEAST_CELLS:
+            grid = self._solver.grid
+            part = moved_part(pixels_of(known, grid, press.image.shape[:2]), geometry.disc, drag)
+            seen, inverse = self._read(dragged_picture(press.image, part, drag))
+            if not self._recognised(inverse):
+                return None
+            surface = dragged_map(surface, part, drag, grid, 0)
+            known = (dragged_map(known.astype(np.float32), part, drag, grid, 0) > _MOSTLY) & self._inside
+            contact_logit = dragged_map(contact_logit, part, drag, grid, _NO_CONTACT)
         if np.count_nonzero(known) < gain.LEAST_CELLS:
-            continue
-        targets.append(
-            PressTarget(
-                press.name,
-                press.indenter.name if press.indenter else "ball",
-                fold(solver.white(seen)[None], network.fold),
-                surface / unit_mm,
-                known,
-                _far(surface > 0, inverse) & inside,
-                inside,
-                inverse.height_mm / unit_mm,
-                inverse.contact_logit,
-                inverse.untrusted_logit,
-            )
+            return None
+        return PressTarget(
+            press.name,
+            press.indenter.name if press.indenter else "ball",
+            drag is not None,
+            fold(self._solver.white(seen)[None], self._network.fold),
+            surface / np.float32(self.unit_mm),
+            known,
+            _far(surface > 0, inverse) & self._inside,
+            self._inside,
+            inverse.height_mm / np.float32(self.unit_mm),
+            contact_logit,
+            inverse.untrusted_logit,
         )
-    calibrated = preprocessor.calibration
-    sensors = tuple(
-        network.sense(
-            known_maps(calibrated.geometry, calibrated.pitch_px, seen_as(solver.reference, view), network.fold)
-        )
-        for view in VIEWS
-    )
-    return Targets(tuple(targets), sensors, float(unit_mm))
+
+    def _read(self, image: U8) -> tuple[Preprocessed, Inverse]:
+        seen = self._preprocessor.preprocess(self._preprocessor.grey(image))
+        return seen, self._solver.inverse(seen)
+
+    def _recognised(self, inverse: Inverse) -> bool:
+        untrusted = untrusted_cells(inverse, len(inverse.height_mm))
+        return untrusted_part(untrusted, self._inside) <= UNTRUSTED_UNLEARNT
 
 
 def seen_as(map_: F32, view: tuple[int, bool]) -> F32:

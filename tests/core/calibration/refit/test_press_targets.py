@@ -84,6 +84,22 @@ def test_a_press_that_does_not_show_its_contact_tells_nothing() -> None:
     assert press_targets(calibrated(), PROFILES["fast"], FAST, [replace(presses()[0], image=free)]).presses == ()
 
 
+def test_a_press_is_shown_dragged_with_the_indenter_where_it_went() -> None:
+    """The shipped network knows drags: it is about as far off as on the same presses undragged."""
+    shown = press_targets(calibrated(), PROFILES["fast"], FAST, presses()[:10], drags=2)
+    errors = np.array(known_errors_mm(shown, FAST, shown.sensors[0], calibrated().factors["fast"]))
+    dragged = np.array([press.dragged for press in shown.presses])
+    still = targets().presses[: np.count_nonzero(~dragged)]
+    for press, before in zip((p for p in shown.presses if not p.dragged), still, strict=True):
+        np.testing.assert_array_equal(press.white, before.white)
+    assert np.count_nonzero(dragged) >= 1.5 * np.count_nonzero(~dragged)
+    assert errors[dragged].mean() < 2 * errors[~dragged].mean()
+    again = press_targets(calibrated(), PROFILES["fast"], FAST, presses()[:10], drags=2)
+    for one, other in zip(shown.presses, again.presses, strict=True):
+        np.testing.assert_array_equal(one.white, other.white)
+        np.testing.assert_array_equal(one.surface, other.surface)
+
+
 def test_views_are_all_turns_of_the_square_and_its_mirror_image() -> None:
     map_ = np.arange(9, dtype=np.float32).reshape(3, 3)
     seen = [seen_as(map_, view) for view in VIEWS]
