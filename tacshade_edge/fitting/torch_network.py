@@ -42,8 +42,8 @@ OPERATIONS: dict[str, Operation] = {
 class TorchNetwork:
     """The network that runs for every frame, with a scale and a bias for each output channel of its convolutions.
 
-    A sensor's code of 520 to 1378 numbers: presses of a few shapes can hardly teach these anything but the sensor, while
-    all weights would learn the shapes, too (decision 8; E. Perez et al., "FiLM", AAAI 2018).
+    A sensor's code of 520 to 1378 numbers: presses of a few shapes can hardly teach these anything but the sensor,
+    while all weights would learn the shapes, too (decision 8; E. Perez et al., "FiLM", AAAI 2018).
 
     Parameters
     ----------
