@@ -112,8 +112,10 @@ class Subscriber:
         )
         self.client.reconnect_delay_set(1, 1)
         self.client.on_connect = lambda client, *_: client.subscribe(topics, qos=1)
-        self.client.on_subscribe = lambda *_: self._subscribed.set()
-        self.client.on_message = lambda _client, _data, message: self.messages.append(message)
+        # Without `self`: in a cycle, the collector can reach the client's sockets before the client closes them.
+        messages, subscribed = self.messages, self._subscribed
+        self.client.on_subscribe = lambda *_: subscribed.set()
+        self.client.on_message = lambda _client, _data, message: messages.append(message)
         self.client.connect_async("127.0.0.1", port, keepalive=5)
 
     def __enter__(self) -> Subscriber:

@@ -21,10 +21,13 @@ class PageClient:
         self._port = http_port
         self._subscribed = threading.Event()
         self.client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5, transport="websockets")
-        self.client.ws_set_options(path="/mqtt", headers=self._headers)
+        # Without `self`, as in `mqtt_rig.Subscriber`. paho's own origin says https.
+        messages, subscribed = self.messages, self._subscribed
+        own = {"Origin": f"http://127.0.0.1:{http_port}"}
+        self.client.ws_set_options(path="/mqtt", headers=lambda defaults: {**defaults, **own})
         self.client.on_connect = lambda client, *_: client.subscribe("tacshade/#", qos=1)
-        self.client.on_subscribe = lambda *_: self._subscribed.set()
-        self.client.on_message = lambda _client, _data, message: self.messages.append(message)
+        self.client.on_subscribe = lambda *_: subscribed.set()
+        self.client.on_message = lambda _client, _data, message: messages.append(message)
 
     def heights(self) -> list[HeightMessage]:
         """Every height map received so far."""
@@ -34,9 +37,6 @@ class PageClient:
     def wait_for_heights(self, count: int, timeout_s: float) -> list[HeightMessage]:
         wait_until(lambda: len(self.heights()) >= count, timeout_s, f"{count} height maps")
         return self.heights()
-
-    def _headers(self, defaults: dict[str, str]) -> dict[str, str]:
-        return {**defaults, "Origin": f"http://127.0.0.1:{self._port}"}  # paho's own says https
 
     def __enter__(self) -> PageClient:
         self.client.connect("127.0.0.1", self._port)
