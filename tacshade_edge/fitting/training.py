@@ -16,11 +16,11 @@ from tacshade_edge.fitting.rehearsal import Rehearsal
 from tacshade_edge.fitting.torch_network import TorchNetwork
 
 STEPS, BATCH = 300, 12
-RATE = 5e-3
+RATE = 3e-3
 """Greatest learning rate of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
 OWN_PART = 0.3
 """Share of the steps that always see the sensor as it is; the others draw one of `VIEWS`."""
-REHEARSAL_WEIGHT, REHEARSED_AT_ONCE = 0.3, 48
+REHEARSAL_WEIGHT, REHEARSED_AT_ONCE = 1.0, 48
 OUTLINE_WEIGHT, FAR_WEIGHT, UNTRUSTED_WEIGHT = 2.0, 1.0, 0.5
 MORE_CELLS = 20
 """Added to the cell count that divides a press's loss, so that a small press weighs less than a wide one."""

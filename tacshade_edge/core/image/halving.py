@@ -9,6 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
 from tacshade_edge.core.image.binarise import Binariser, halved
+from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import U8, Calibration, Disc
 
 MOVED_PARTS = (1 / 8, 3 / 4, 1 / 8)
@@ -19,10 +20,15 @@ LEAST_PITCH_PX = 14.0
 """Finer patterns are not halved: the networks have seen few pitches below 7 px."""
 
 
-def can_be_halved(calibration: Calibration) -> bool:
-    """Whether the sensor's pattern stays coarse enough."""
+def is_halved(calibration: Calibration, profile: Profile) -> bool:
+    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough.
+
+    A network also sees a noisy camera halved: one that needs Otsu's level (`reference.threshold_choice`). Its pixels
+    differ from their neighbours, which a mean over 2x2 px evens out, but a network of whole images takes for torn skin.
+    """
     side_px = min(calibration.image_height_px, calibration.image_width_px)
-    return calibration.pitch_px >= LEAST_PITCH_PX and side_px > 1
+    wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")
+    return wanted and calibration.pitch_px >= LEAST_PITCH_PX and side_px > 1
 
 
 def halved_image(grey: U8) -> U8:

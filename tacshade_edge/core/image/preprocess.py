@@ -11,7 +11,7 @@ from tacshade_edge.core.geometry.disc import DiscRays, Grid, Window, disc_mask, 
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.binarise import Binariser, odd
 from tacshade_edge.core.image.glare import glare_check, glare_mask
-from tacshade_edge.core.image.halving import can_be_halved, grid_of_whole, halved_calibration, halved_image
+from tacshade_edge.core.image.halving import grid_of_whole, halved_calibration, halved_image, is_halved
 from tacshade_edge.core.image.integral_image import BoxSums, IntegralImage, Integrator
 from tacshade_edge.core.image.median import median
 from tacshade_edge.core.profiles import Profile
@@ -90,7 +90,7 @@ class Preprocessor:
     def __init__(self, calibration: Calibration, profile: Profile) -> None:
         self.camera = calibration
         self.profile = profile
-        self._halve = profile.halved and can_be_halved(calibration)
+        self._halve = is_halved(calibration, profile)
         self.camera_px = 2 if self._halve else 1
         self.calibration = calibration = halved_calibration(calibration) if self._halve else calibration
         geometry, pitch_px = calibration.geometry, calibration.pitch_px

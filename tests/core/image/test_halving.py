@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from support.built_sensor import built_calibration
 
+from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference.pattern import marker_pitch_px
+from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_mask
@@ -13,9 +15,9 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.halving import (
     LEAST_PITCH_PX,
     MOVED_PARTS,
-    can_be_halved,
     halved_calibration,
     halved_image,
+    is_halved,
 )
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -24,7 +26,17 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.calibrated_sensor import FULL, HALF, calibrated, pressed, random_sensor, unloaded
+from tools.testbed.calibrated_sensor import (
+    FULL,
+    HALF,
+    calibrated,
+    pressed,
+    random_sensor,
+    references,
+    sensor_of,
+    unloaded,
+)
+from tools.testbed.simulator.tactip import tactip
 
 
 def grey_noise(rows: int, cols: int) -> U8:
@@ -105,15 +117,41 @@ def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> 
 
 
 def test_a_fine_pattern_is_left_as_it_is() -> None:
-    assert can_be_halved(calibrated(FULL, 0))
+    assert is_halved(calibrated(FULL, 0), PROFILES["balanced"])
     fine = replace(calibrated(HALF, 0), pitch_px=LEAST_PITCH_PX - 0.1)
-    assert not can_be_halved(fine)
+    assert not is_halved(fine, PROFILES["balanced"])
     image = pressed("ball", 3.0).image
     made = make_reconstructor(fine, PROFILES["balanced"])
     kept = make_reconstructor(fine, replace(PROFILES["balanced"], halved=False))
     assert made.step(Frame(0, 0, 0, image)).height.height_mm.tobytes() == (
         kept.step(Frame(0, 0, 0, image)).height.height_mm.tobytes()
     )
+
+
+def test_networks_see_a_noisy_camera_halved() -> None:
+    quiet = calibrated(FULL, 0)
+    noisy = replace(quiet, binarisation="otsu")
+    assert [is_halved(each, PROFILES["accurate"]) for each in (quiet, noisy)] == [False, True]
+    assert not is_halved(noisy, PROFILES["paper"])
+    assert not is_halved(noisy, PROFILE), "references and presses are compared in whole pixels"
+
+
+@pytest.mark.slow
+def test_a_camera_that_draws_chequers_loses_no_press() -> None:
+    # As a cheap camera draws white pins: every other pixel has half the light.
+    model = replace(tactip(FULL), pin_tip_radius_pitches=0.18, pin_base_radius_pitches=0.18)
+    light = np.where(np.indices((480, 640)).sum(axis=0) % 2, 1.0, 0.5)
+
+    def seen(image: U8, seed: int) -> U8:
+        noise = np.random.default_rng(seed).normal(12, 6, light.shape)
+        return np.clip(to_grey(image) * light + noise, 0, 255).astype(np.uint8)
+
+    sensor = replace(sensor_of(model), binarisation="otsu")
+    taken = [seen(image, k) for k, image in enumerate(references(model, 5))]
+    made = make_reconstructor(calibrate(sensor, taken).calibration, PROFILES["accurate"])
+    found = made.step(Frame(0, 0, 0, seen(pressed("ring", 1.5, model).image, 50)))
+    assert found.degraded is None
+    assert 0.9 < found.depth_max_mm < 1.6
 
 
 @pytest.mark.slow

@@ -21,8 +21,10 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, U8, Calibration
 
-PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
-"""Profile of the maps that compare references and presses."""
+PROFILE = replace(
+    PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12, network=None
+)
+"""Profile of the maps that compare references and presses: of whole images, and without a network."""
 ASSUMED_NOISE_GREY = 1.0
 """Noise of g, RMS in grey levels, assumed for fewer references than `NOISE_REFERENCES`."""
 NOISE_REFERENCES = 3

@@ -15,6 +15,10 @@ def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them() -> No
     assert choose_binarisation(sparse_dome(noise_grey=5.0, contrast_grey=70.0), FIELD, PITCH_PX) == "otsu"
 
 
+def test_little_noise_is_enough() -> None:
+    assert choose_binarisation(sparse_dome(noise_grey=2.5, contrast_grey=70.0), FIELD, PITCH_PX) == "otsu"
+
+
 def test_without_noise_the_mean_around_serves_them() -> None:
     assert choose_binarisation(sparse_dome(noise_grey=0.0), FIELD, PITCH_PX) == "adaptive"
 
