@@ -118,6 +118,7 @@ def test_a_fit_is_kept_if_it_helps_presses_and_drags_together(
     assert report.kept == kept
     assert ("dragged, " in report.line) == bool(dragged)
     assert ("the shipped network stays" in report.line) != kept
+    assert ("expect objects that you did not press to gain 1 %" in report.line) == kept
 
 
 def test_too_few_presses_are_refused() -> None:
