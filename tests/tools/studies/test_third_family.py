@@ -15,7 +15,8 @@ from tacshade_edge.types import F64
 from tools.studies.third_family import dome as domes
 from tools.studies.third_family import evaluate
 from tools.studies.third_family.dome import Dome, cap, drawn, meshed, volumes
-from tools.studies.third_family.paths import ROUNDING_MM, SOLIDS, plate_depth_mm, ways
+from tools.studies.third_family.paths import ROUNDING_MM, SOLIDS, deepest_mm, plate_depth_mm, ways
+from tools.studies.third_family.presses import KINDS, described, known_ways
 from tools.studies.third_family.seen import deformed, renderer, seen_truth
 
 DOME = Dome(radius_mm=20.0, skin_mm=1.5, gel_part=0.3, stiffness_ratio=3.0, poisson=0.43, friction=0.8)
@@ -42,6 +43,22 @@ def test_the_ranges_are_disjoint_in_every_parameter() -> None:
         assert low < high <= other_low < other_high, name
     assert drawn("working", 3) == drawn("working", 3)
     assert drawn("working", 3) != drawn("final", 3)
+
+
+def test_presses_are_stated_as_they_are_made() -> None:
+    made = known_ways(DOME, 7, 12)
+    assert [way.object_name for way in made[:6]] == [name for name, _ in KINDS]
+    assert all(0.6 <= way.press.depth_mm <= deepest_mm(DOME) for way in made)
+    assert all(way.press.drag_x_mm == way.press.drag_y_mm == way.press.twist_deg == 0 for way in made)
+    for way, (_, size_mm) in zip(made, KINDS + KINDS, strict=True):
+        radius_mm, known = described(way)
+        (kind, sizes, _, _), scale = SOLIDS[way.object_name][0], way.press.scale
+        own_mm = (sizes[0] + ROUNDING_MM) * scale
+        assert (2 * own_mm if kind == "box" else own_mm) == pytest.approx(size_mm)
+        assert (known is None) == (radius_mm > 0) == (kind == "sphere")
+        if known is not None:
+            across_mm = np.ptp(known.triangles_mm.reshape(-1, 3)[:, 0])
+            assert across_mm == pytest.approx(2 * own_mm, rel=0.01)
 
 
 def _to_solid_mm(name: str, points: F64) -> F64:

@@ -2,10 +2,11 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--out FOLDER]
+    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40 [--fit]]
 
-FOLDER contains the solved mechanics (states.py), so MuJoCo is not needed. Every sensor is calibrated only on
-references. ``--out`` writes a row for each frame and profile to third-family.csv; ``--pictures`` writes PNG frames.
+FOLDER contains the solved mechanics (states.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
+with ``--presses``, on presses (presses.py), to which ``--fit`` fits the networks. ``--out`` writes a row for each frame
+and profile to third-family.csv; ``--pictures`` writes PNG frames.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import csv
 import dataclasses
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.depth.sigma import INTERVAL_90
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
@@ -36,6 +37,7 @@ from tacshade_edge.studies.evaluate.sensors import REFERENCE_NOISE, REFERENCES, 
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.third_family.dome import FIRST_SEED, RANGES, drawn
 from tools.studies.third_family.paths import Way, ways
+from tools.studies.third_family.presses import known_presses
 from tools.studies.third_family.seen import deformed, renderer, seen_truth
 from tools.studies.third_family.states import kept_file, read
 
@@ -104,14 +106,22 @@ def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iter
             yield Pictured(_label(range_name, sensor, way, press), bool(dragged), press, skin, truth, image)
 
 
-def calibrated(range_name: str, sensor: int) -> Calibration:
-    """Calibrate a sensor on pictures of its untouched skin. Raises ConfigError."""
+def calibrated(range_name: str, sensor: int, presses: Sequence[KnownPress] = (), fitted: bool = False) -> Calibration:
+    """Calibrate a sensor on pictures of its untouched skin and presses, and fit it to these. Raises ConfigError."""
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     untouched = draws.draw(undeformed(dome.radius_mm))
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     references = [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(REFERENCES)]
-    return calibrate(stated, references, [], networks=load_networks()).calibration
+    result = calibrate(stated, references, list(presses), networks=load_networks())
+    if not fitted:
+        return result.calibration
+    from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
+
+    made = fit(result.calibration, result.presses, lambda _: None)
+    for report in made.profiles:
+        print(f"sensor {sensor}: {report.line}", file=sys.stderr)
+    return made.calibration
 
 
 def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged:
@@ -179,6 +189,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sensors", type=int, default=6)
     parser.add_argument("--ways", type=int, default=6)
     parser.add_argument("--states", type=Path, required=True, help="what states.py wrote")
+    parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
+    parser.add_argument("--fit", action="store_true", help="the networks to these presses")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args(arguments)
@@ -193,8 +205,9 @@ def main(arguments: list[str] | None = None) -> int:
     for sensor in range(options.sensors):
         model, _ = drawn(options.range, sensor)
         try:
-            calibration = calibrated(options.range, sensor)
-        except ConfigError as error:
+            presses = known_presses(options.range, sensor, options.presses, options.states)
+            calibration = calibrated(options.range, sensor, presses, options.fit)
+        except (ConfigError, FileNotFoundError) as error:
             print(f"sensor {sensor} cannot be calibrated: {error}", file=sys.stderr)
             continue
         made = [reconstructor(calibration, profile) for profile in PROFILES]

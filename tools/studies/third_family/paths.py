@@ -76,12 +76,17 @@ def plate_depth_mm(pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg
     return radius_mm - middle_mm + PLATE_MM * scale * math.sqrt(1 - upright * upright)
 
 
+def deepest_mm(dome: Dome) -> float:
+    """Compute the greatest depth of a path, in mm on a skin of 20 mm."""
+    return min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / (dome.radius_mm / 20))
+
+
 def ways(dome: Dome, seed: int, count: int) -> list[Way]:
     """Draw paths with object, place, depth, drag and twist; plates and every third path are tilted but not twisted."""
     radius_mm = dome.radius_mm
     rng = np.random.default_rng((seed, 42))
     names, scale, made = list(SOLIDS), radius_mm / 20, []
-    deepest = min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * radius_mm) / scale)
+    deepest = deepest_mm(dome)
     first = int(rng.integers(len(names)))
     for k in range(count):
         name = names[(first + k) % len(names)]

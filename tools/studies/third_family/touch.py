@@ -33,7 +33,7 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, Frame, Need
 from tools.studies.third_family.dome import FIRST_SEED, Dome, drawn
 from tools.studies.third_family.evaluate import calibrated
-from tools.studies.third_family.paths import DEEPEST_PART, Way, plate_depth_mm
+from tools.studies.third_family.paths import Way, deepest_mm, plate_depth_mm
 from tools.studies.third_family.seen import deformed, renderer
 from tools.studies.third_family.states import Kept, keep, read
 
@@ -48,7 +48,7 @@ def ways(dome: Dome) -> list[tuple[Way, float]]:
     """Draw paths of plates (tilted), balls and bars, each with its travel along the object's normal in mm."""
     rng = np.random.default_rng((FIRST_SEED[RANGE], 43))
     scale = dome.radius_mm / 20
-    deepest = min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / scale)
+    deepest = deepest_mm(dome)
     made = []
     for name, count in COUNTS.items():
         for _ in range(count):
