@@ -458,11 +458,19 @@ def flange() -> Claims:
 
 def fit() -> Claims:
     page = Page("fit")
-    for what in ("pressed", "dragged"):
+    for title, what in (("pressed", "pressed"), ("dragged", "dragged"), ("both", "half of each")):
         mean, worst = (
             ", ".join(page.cells(f"{what} {of}", profile)[0] for profile in PROFILES) for of in ("mean", "worst")
         )
-        yield f"| {what} | {mean} | {worst} |"
+        yield f"| {title} | {mean} | {worst} |"
+
+
+def test_a_fit_promises_what_the_page_measured() -> None:
+    pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
+    from tacshade_edge.fitting.fit import GAIN_ELSEWHERE_PCT
+
+    means = {name: float(Page("fit").cells("half of each mean", name)[0]) for name in PROFILES}
+    assert {name: round(100 * (1 - mean)) for name, mean in means.items()} == GAIN_ELSEWHERE_PCT
 
 
 def object_motion() -> Claims:
