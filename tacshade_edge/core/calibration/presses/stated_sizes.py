@@ -19,14 +19,14 @@ from tacshade_edge.types import F64, Geometry
 
 # With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
-# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6, places 0.95 to
-# 1.05.
+# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6 (0.79 on the third
+# family, where nothing but presses shows how the skin yields), places 0.95 to 1.05. Diameters show balls of 0.40 to 0.63.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
-_BALL_FACTORS = (0.8, 1.85)
+_BALL_FACTORS = (0.7, 1.85)
 # If all stated depths are too great by a constant, balls look smaller, most of all at shallow presses, and depths as
-# much. Without that (slope), balls are 0.95 or more in good tables, 0.83 or less for diameters. Balls over depths are
-# 0.96 or more for depths 0.7 or 1 mm too great, 0.82 or less for diameters.
+# much. Without that (slope), balls are 0.79 or more in good tables, 0.67 or less for diameters. Balls over depths are
+# 0.96 or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
 _LEAST_BALL_SLOPE, _LEAST_BALL_PER_DEPTH = 0.9, 0.9
 _PLACE_FACTORS = (0.6, 1.4)
 # Places nearer to the middle than this (RMS, skin radii) show no factor: a place is found within 1 mm.
