@@ -19,8 +19,8 @@ from tacshade_edge.types import F64, Geometry
 
 # With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
-# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6 (0.79 on the third
-# family, where nothing but presses shows how the skin yields), places 0.95 to 1.05. Diameters show balls of 0.40 to 0.63.
+# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6 (0.79 on a stiff
+# skin over soft gel), places 0.95 to 1.05. Diameters: balls 0.40 to 0.63.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.7, 1.85)
