@@ -36,7 +36,7 @@ class Profile:
         sensor hardly brightens (of 885 presses of 1.5 mm the other level missed 4, whose rims were at least 10.8 below;
         a release of 0.2 mm leaves at most 8.7).
     halved : bool
-        Work on means over 2x2 px if the pattern is coarse enough, not only of noisy cameras (`core.image.halving`).
+        Work on means over 2x2 px of every camera, not only of noisy ones (`core.image.halving.is_halved`).
     cells : int
         Number of cells along a side of the network's map.
     """

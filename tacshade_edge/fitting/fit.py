@@ -63,12 +63,10 @@ class ProfileReport:
     @property
     def gain_pct(self) -> float:
         """How much less error the presses have, pressed and dragged together, in percent; negative if more."""
-        shipped_mm, fitted_mm = _mean(self.shipped_mm), _mean(self.fitted_mm)
-        if self.shipped_dragged_mm:
-            shipped_mm, fitted_mm = (
-                shipped_mm + _mean(self.shipped_dragged_mm),
-                fitted_mm + _mean(self.fitted_dragged_mm),
-            )
+        shipped_mm, fitted_mm = (
+            sum(_mean(each) for each in pair if each)
+            for pair in ((self.shipped_mm, self.shipped_dragged_mm), (self.fitted_mm, self.fitted_dragged_mm))
+        )
         return 100 * (1 - fitted_mm / shipped_mm)
 
     @property

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from support.result_page import Page
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.errors import ConfigError
@@ -120,6 +121,13 @@ def test_a_fit_is_kept_if_it_helps_presses_and_drags_together(
     assert ("dragged, " in report.line) == bool(dragged)
     promise = f"; expect objects that you did not press to gain {gain}"
     assert report.line.endswith(promise if gain else "; that is no better, so the shipped network stays")
+
+
+def test_a_fit_promises_what_the_page_measured() -> None:
+    from tacshade_edge.fitting.fit import GAIN_ELSEWHERE_PCT
+
+    means = {name: float(Page("fit").cells("half of each mean", name)[0]) for name in GAIN_ELSEWHERE_PCT}
+    assert {name: round(100 * (1 - mean)) for name, mean in means.items()} == GAIN_ELSEWHERE_PCT
 
 
 def test_too_few_presses_are_refused() -> None:

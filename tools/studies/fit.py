@@ -49,6 +49,7 @@ from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE,
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.testbed.simulator.families import sensor_name
+from tools.testbed.stated_press import stated_press
 
 CASES = (
     "default,5,11,12,21,50,51,52,other:31,other:32,other:33,other:34,other:35,other:36,capped:41,two-scales:44,"
@@ -58,7 +59,6 @@ PRESSES = 40
 REFERENCES = 5
 PRESSED_MM = (0.6, 4.5)
 """Least and greatest depth of the presses, mm."""
-PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
 BEYOND_MM = 6.0
 """Depth beyond the presses, mm: a third more than the deepest."""
 DRAG_MM, DRAGGED_MM = 2.0, 3.0
@@ -107,10 +107,9 @@ def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
         shape, enlarged, radius_mm, known = kinds[k % len(kinds)]
         rho, angle, yaw = reach_mm * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(0, 180)
         x, y, depth = rho * np.cos(angle), rho * np.sin(angle), rng.uniform(*PRESSED_MM)
-        image = sensor.frame((Press(shape, x, y, depth, yaw, enlarged),), PRESS_NOISE + k).image
-        x, y = x + rng.normal(0, PLACE_NOISE_MM), y + rng.normal(0, PLACE_NOISE_MM)
-        depth += rng.normal(0, DEPTH_NOISE_MM)
-        made.append(KnownPress(f"press {k}", image, radius_mm, depth, x, y, known, yaw if known else 0.0))
+        press = Press(shape, x, y, depth, yaw, enlarged)
+        image = sensor.frame((press,), PRESS_NOISE + k).image
+        made.append(stated_press(rng, f"press {k}", image, press, radius_mm, known))
     return made
 
 

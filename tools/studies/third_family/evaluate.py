@@ -37,6 +37,7 @@ from tacshade_edge.studies.evaluate.sensors import REFERENCE_NOISE, REFERENCES, 
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.third_family.dome import FIRST_SEED, RANGES, drawn
 from tools.studies.third_family.paths import Way, ways
+from tools.studies.third_family.presses import kept_file as press_file
 from tools.studies.third_family.presses import known_presses
 from tools.studies.third_family.seen import deformed, renderer, seen_truth
 from tools.studies.third_family.states import kept_file, read
@@ -194,20 +195,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args(arguments)
-    missing = [
-        path for sensor in range(options.sensors) for k in range(options.ways)
-        if not (path := kept_file(options.states, options.range, sensor, k)).exists()
-    ]  # fmt: skip
-    if missing:
-        print(f"{missing[0]} is missing ({len(missing)} of these): solve them first with states.py", file=sys.stderr)
-        return 1
+    if options.fit and not options.presses:
+        parser.error("--fit needs --presses")
+    for solver, files, count in (("states", kept_file, options.ways), ("presses", press_file, options.presses)):
+        paths = [files(options.states, options.range, s, k) for s in range(options.sensors) for k in range(count)]
+        if missing := [path for path in paths if not path.exists()]:
+            count = len(missing)
+            print(f"{missing[0]} is missing ({count} of these): solve them first with {solver}.py", file=sys.stderr)
+            return 1
     rows: list[Judged] = []
     for sensor in range(options.sensors):
         model, _ = drawn(options.range, sensor)
         try:
             presses = known_presses(options.range, sensor, options.presses, options.states)
             calibration = calibrated(options.range, sensor, presses, options.fit)
-        except (ConfigError, FileNotFoundError) as error:
+        except ConfigError as error:
             print(f"sensor {sensor} cannot be calibrated: {error}", file=sys.stderr)
             continue
         made = [reconstructor(calibration, profile) for profile in PROFILES]

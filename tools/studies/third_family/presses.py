@@ -27,14 +27,13 @@ from tools.studies.third_family.dome import FIRST_SEED, RANGES, Dome, drawn
 from tools.studies.third_family.paths import Way, deepest_mm
 from tools.studies.third_family.seen import deformed, renderer
 from tools.studies.third_family.states import keep, read
+from tools.testbed.stated_press import stated_press
 
 SIZES_MM: dict[str, float] = {"ball": 6.0, "cylinder": 5.0, "cube": 10.0}
 """Radius of the ball and the cylinder, and side of the cube, of `paths.SOLIDS`."""
 KINDS = (("ball", 3.0), ("cylinder", 2.5), ("ball", 4.5), ("cube", 6.0), ("ball", 7.0), ("cylinder", 4.0))
 """Object and its radius or side in mm on a skin of 20 mm; the presses take them in turn."""
 SHALLOWEST_MM = 0.6
-PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
-"""Standard deviations of the stated places and depths."""
 REACH_RADII = 0.4
 """Greatest distance of a press from the tip: beyond, the mesh is coarse."""
 
@@ -81,13 +80,9 @@ def known_presses(range_name: str, sensor: int, count: int, folder: Path) -> Seq
     draws, rng = renderer(model, seed), np.random.default_rng((seed, 45))
     made = []
     for k, way in enumerate(known_ways(dome, seed, count)):
-        kept, press = read(kept_file(folder, range_name, sensor, k)), way.press
+        kept = read(kept_file(folder, range_name, sensor, k))
         image = draws.expose(draws.draw(deformed(dome.radius_mm, kept.rest_mm, kept.pressed_mm)), PRESS_NOISE + k)
-        x_mm, y_mm = (at + rng.normal(0, PLACE_NOISE_MM) for at in (press.x_mm, press.y_mm))
-        depth_mm = press.depth_mm + rng.normal(0, DEPTH_NOISE_MM)
-        radius_mm, known = described(way)
-        turn_deg = press.rotation_deg if known else 0.0
-        made.append(KnownPress(f"press {k}", image, radius_mm, depth_mm, x_mm, y_mm, known, turn_deg))
+        made.append(stated_press(rng, f"press {k}", image, way.press, *described(way)))
     return made
 
 

@@ -11,7 +11,7 @@ from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.types import U8, Binarisation, Disc
 
 # A piece of white below this part of a squared pitch is a speck. Between pins that stand far apart, the local mean is
-# near the dark level, and noise makes specks: at least a fifth as many as markers.
+# near the dark level, and noise makes specks: more than a fifth as many as markers.
 _SPECK = 0.03
 _SPECKS_PER_MARKER = 0.2
 # Otsu's level suits such a sensor if it shows at least this part of the markers as separate pieces.

@@ -1,0 +1,37 @@
+"""Claims about faults."""
+
+from __future__ import annotations
+
+import pytest
+
+from support.result_page import Claims, Page
+
+
+def faults() -> Claims:
+    page = Page("faults")
+    back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
+    assert back <= 3
+    yield "the daemon reconnects within 3 s of the broker's return"
+    stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
+    assert min(stalled) >= 4
+    assert max(stalled) <= 15
+    yield "reports the hang after 4 to 15 s"
+    assert page.number("detected s", "lens covered, and uncovered") <= 4
+    assert page.number("recovered s", "lens covered, and uncovered") <= 2
+    yield "`degraded` within 4 s; frames resume within 2 s of the camera's return"
+    assert page.number("recovered s", "no calibration at the start") <= 2
+    yield "uses a new calibration within 2 s"
+
+
+def faults_of_thousands() -> Claims:
+    yield f"[{int(Page('faults-damaged').cell('fed', 'all')):,} damaged inputs]".replace(",", " ")
+    words = Page("faults-words")
+    assert sum(int(words.cell("count", what)) for what in ("in process", "serial lines")) == 1_000_000
+    yield "[a million requests and serial lines]"
+    yield f"[kill -9, {Page('faults-kills').cell('kills', 'all')} times]"
+
+
+CLAIMS = (
+    pytest.param("docs/explanation/reliability.md", faults, id="faults"),
+    pytest.param("docs/explanation/reliability.md", faults_of_thousands, id="faults_of_thousands"),
+)
