@@ -2,21 +2,20 @@
 # make check   format, lint, types, layers and the quick tests: 80 s on two cores
 # make docs    the site of docs/, built strictly into out/site
 # make deb     Debian packages for amd64 and arm64, of Debian 12 and 13, into dist/
-# make apt KEY=FINGERPRINT   a signed apt repository of the packages in dist/, into dist/apt
+# make apt KEY=FINGERPRINT   a signed apt repository of the packages in dist/, into dist/apt, by reprepro
 # make dist   sdists and wheels of the last commit, checked by twine, into dist/
 # make image   the container image tacshade-edge, by podman (IMAGE_TOOL=docker: by docker)
 # make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages, run on a virtual camera; 5 minutes, root
-# make first-map  apt install and pip install in a bare Debian, each to a published height map; minutes, root
 # make faults  the table of docs/explanation/reliability.md; 9 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu'
 
-.PHONY: demo lint check docs test test-arm test-container first-map dist deb apt image lock faults format clean
+.PHONY: demo lint check docs test test-arm test-container dist deb apt image lock faults format clean
 .DELETE_ON_ERROR:
 
 # Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
@@ -61,15 +60,18 @@ test-container: .venv/dev.stamp
 	tools/ci/install_debian.sh mmdebstrap podman
 	$(PY) -m pytest -m container -rs -s
 
-first-map: .venv/dev.stamp
-	tools/ci/install_debian.sh debootstrap gpg
-	$(PY) -m tools.ci.first_map apt pip --native
-
 deb: .venv/dev.stamp
 	$(PY) -m tools.release.package_debian
 
+DIST ?= dist
 apt:
-	$(PYTHON) -m tools.release.apt_repository --key '$(KEY)'
+	rm -rf $(DIST)/apt out/apt && mkdir -p $(DIST)/apt out/apt
+	for suite in bookworm trixie; do printf '%s\n' "Codename: $$suite" "Suite: $$suite" 'Origin: tacshade-edge' \
+	  'Label: tacshade-edge' 'Architectures: amd64 arm64' 'Components: main' 'SignWith: $(KEY)' ''; done >out/apt/distributions
+	for suite in deb12:bookworm deb13:trixie; do for deb in $(DIST)/*+$${suite%:*}_*.deb; do [ ! -e "$$deb" ] || \
+	  reprepro --silent --confdir out/apt --dbdir out/apt/db --outdir $(abspath $(DIST))/apt \
+	  includedeb $${suite#*:} "$$deb" || exit; done; done
+	gpg --batch --armor --export '$(KEY)' >$(DIST)/apt/tacshade-edge.asc
 
 dist: .venv/dev.stamp
 	$(PY) -m tools.release.distributions
@@ -78,8 +80,16 @@ IMAGE_TOOL ?= podman
 image:
 	$(IMAGE_TOOL) build --file Containerfile --build-arg TACSHADE_EDGE_VERSION=$$($(PYTHON) -m tools.release.version) --tag tacshade-edge .
 
+UV := $(PY) -m uv
 lock: .venv/dev.stamp
-	$(PY) -m tools.release.lock
+	$(PY) -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['build-system']['requires'], sep='\n')" | \
+	  UV_CUSTOM_COMPILE_COMMAND='make lock' $(UV) pip compile --quiet pyproject.toml - --universal --python-version 3.11 \
+	  --extra dashboard --upgrade --generate-hashes --only-binary :all: --emit-build-options --no-annotate \
+	  --output-file systemd/requirements.lock
+	$(UV) venv --quiet --clear out/locked
+	$(UV) pip install --quiet --python out/locked --require-hashes --no-deps -r systemd/requirements.lock
+	$(UV) tool run --quiet --from 'cyclonedx-bom>=7' cyclonedx-py environment --pyproject pyproject.toml \
+	  --output-reproducible --output-file docs/reference/bill.cdx.json out/locked
 
 faults: .venv/dev.stamp
 	$(PY) -m tools.faults table

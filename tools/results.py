@@ -334,17 +334,6 @@ rounds.""",
         STAGES,
         idle=True,
     ),
-    "as-printed": Page(
-        "The paper's method as printed",
-        """\
-`plain` is the method as a reader of the paper would write it with NumPy, scikit-image and SciPy
-(`benchmarks.plain_paper`); it gives the same heights as `paper`. The frame is that of [stages](stages.md). ME and SD
-cover one sensor near its tip and only show that `plain` and `paper` agree; [the paper's five objects](objects.md)
-shows how good a profile is.""",
-        ("tools.benchmarks.paper",),
-        (*STAGES, "tools/benchmarks/stages.py", "tools/benchmarks/plain_paper.py"),
-        idle=True,
-    ),
     "tradeoff": Page(
         "Speed against accuracy, setting by setting",
         """\
@@ -358,17 +347,6 @@ five objects](objects.md) shows how good a profile is.""",
         (*STAGES, *package("studies/evaluate", "studies/tradeoff")),
         idle=True,
         drawn=("tradeoff.png",),
-    ),
-    "cost": Page(
-        "What the cost of a frame grows with",
-        """\
-The contact area varies with balls 4 mm deep in the middle of the default sensor, the image size with cameras of
-320x240 to 1280x960 that see one ball, and the number of objects with small balls around the tip. A line is fitted to
-each.""",
-        ("tools.benchmarks.cost",),
-        STAGES,
-        idle=True,
-        drawn=("cost.png",),
     ),
     "daemon": Page(
         "The daemon",
@@ -396,25 +374,6 @@ The rows repeat `contact` of [the daemon](daemon.md) with the profile `fast`: wi
         ("tools.benchmarks.memory",),
         DAEMON,
         idle=True,
-    ),
-    "runtime": Page(
-        "ONNX Runtime beside OpenCV's DNN module",
-        "The shipped networks run on one thread, in alternating rounds.",
-        ("tools.benchmarks.runtime",),
-        (*package("inference"), "tools/benchmarks/stages.py"),
-        idle=True,
-    ),
-    "runtime-counts": Page(
-        "Instructions of the networks on a board's processor, emulated",
-        "The networks run once, with the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
-        ("tools.benchmarks.runtime_counts",),
-        (
-            *package("inference"),
-            "systemd/requirements.lock",
-            "tools/benchmarks/runtime.py",
-            "tools/rig/arm64.py",
-            "tools/rig/count_instructions.c",
-        ),
     ),
     "arm": Page(
         "On a board's processor, emulated",
@@ -487,15 +446,6 @@ and a viewer that reads nothing; the fingers record in turn; the broker restarts
 from the minimum of the first half after 900 s to the minimum of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
         FAULTS,
-    ),
-    "extras": Page(
-        "What an installation brings",
-        """\
-The page lists the wheels that pip takes for Python 3.13, with their licences: first the plain installation of each
-distribution, then the wheels that each extra adds. The `fit` extra takes PyTorch from PyPI, with CUDA; PyTorch's own
-index has a wheel only for CPUs.""",
-        ("tools.release.extras",),
-        ("pyproject.toml",),
     ),
 }
 

@@ -55,7 +55,7 @@ Description: tactile sensor TacShade: camera to height maps over MQTT
 COPYRIGHT = """\
 tacshade-edge is under the licence below. The packages of others beside it in /opt/tacshade-edge/lib, unchanged as on
 the Python Package Index, have their licences in their folders *.dist-info, cv2 and onnxruntime there; bill.cdx.json
-lists them and the libraries that they bring.
+lists them.
 
 """
 

@@ -2,8 +2,7 @@
 # boot_systemd.sh FOLDER [NSPAWN OPTIONS]: boots systemd as PID 1 over a throw-away overlay of this machine's root (own
 # network, processes and mounts; no video or serial devices) and runs FOLDER/scenario there as root, with FOLDER at
 # /payload. Prints what the scenario printed and exits with its status; 125 when it could not boot.
-# 124 when it ran longer than LIMIT_S (180). With FRESH=ROOT it boots that system in place of this machine's, on this
-# machine's network.
+# 124 when it ran longer than LIMIT_S (180).
 # Needs root and Debian's systemd-container and dbus.
 set -euo pipefail
 folder=$(readlink -f "$1")
@@ -15,14 +14,12 @@ trap 'cleanup || true' EXIT
 mkdir "$work/rw" "$root"
 mount -t tmpfs tmpfs "$work/rw"
 mkdir "$work/rw/upper" "$work/rw/work"
-mount -t overlay overlay -o "lowerdir=${FRESH:-/},upperdir=$work/rw/upper,workdir=$work/rw/work" "$root"
+mount -t overlay overlay -o "lowerdir=/,upperdir=$work/rw/upper,workdir=$work/rw/work" "$root"
 rm -f "$root/payload"
 "$(dirname "$(readlink -f "$0")")/systemd_root.sh" "$root"
-network=--private-network
-[ -z "${FRESH:-}" ] || network=--resolv-conf=replace-host
 echo '/payload/scenario >/scenario.out 2>&1 </dev/null; echo $? >/scenario.rc' >"$root/scenario.sh"
 SYSTEMD_NSPAWN_TMPFS_TMP=0 timeout -k 5 "${LIMIT_S:-180}" systemd-nspawn --quiet --directory="$root" --boot --register=no \
-  --keep-unit "$network" --bind="$folder:/payload" "$@" \
+  --keep-unit --private-network --bind="$folder:/payload" "$@" \
   systemd.unit=scenario.target systemd.show_status=0 </dev/null >"$work/console" 2>&1 || true
 [ -e "$root/scenario.out" ] || { cat "$work/console"; exit 125; }
 cat "$root/scenario.out"

@@ -35,7 +35,6 @@ HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
 CACHE = TREE / ".rig"
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console")
-NETWORK_MODULES = ("virtio_net", "af_packet")
 PROGRAMS = {  # each program that we call, and its Debian package
     "qemu-system-x86_64": "qemu-system-x86",
     "busybox": "busybox-static",
@@ -91,21 +90,20 @@ def kernel() -> tuple[Path, str]:
     return final, version
 
 
-def initramfs(out: Path, root: Path, version: str, systemd: bool, network: bool) -> None:
-    """Write ``out/.initrd``: busybox and the modules that reach the 9p root, and the network if there is one."""
+def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
+    """Write ``out/.initrd``: busybox and the modules that reach the 9p root."""
     with tempfile.TemporaryDirectory() as scratch:
         top = Path(scratch)
         for name in ("bin", "dev", "proc", "sys", "ro", "rw", "new", "modules"):
             (top / name).mkdir()
         shutil.copy(shutil.which("busybox") or "", top / "bin/busybox")
-        for number, module in enumerate(_modules(root, version, network)):
+        for number, module in enumerate(_modules(root, version)):
             content = module.read_bytes()
             if module.suffix == ".xz":
                 content = lzma.decompress(content)
             (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
         text = (HERE / "init.sh").read_text()
         text = text.replace("@MODULES@", f"{root}/lib/modules/{version}")
-        text = text.replace("@NETWORK@", "yes" if network else "")
         if systemd:
             shutil.copy(HERE / "systemd_root.sh", top)
         (top / "init").write_text(text.replace("@SYSTEMD@", "yes" if systemd else ""))
@@ -117,32 +115,27 @@ def initramfs(out: Path, root: Path, version: str, systemd: bool, network: bool)
             )
 
 
-def _modules(root: Path, version: str, network: bool) -> list[Path]:
+def _modules(root: Path, version: str) -> list[Path]:
     """List the files of the boot modules and of their dependencies, in loading order."""
     files: dict[Path, None] = {}
-    for module in (*BOOT_MODULES, *(NETWORK_MODULES if network else ())):
+    for module in BOOT_MODULES:
         for line in _output("modprobe", "-d", str(root), "-S", version, "--show-depends", module).splitlines():
             if line.startswith("insmod "):
                 files[Path(line.split()[1])] = None
     return list(files)
 
 
-def run(command: list[str], out: Path, silent_s: float, systemd: bool, fresh: Path | None = None) -> int:
-    """Boot the guest, run the command, and return its exit status.
-
-    With `fresh`, the root of another system, the guest sees that system instead of this machine's files. It also gets a
-    network, and more memory, because installed files go there.
-    """
+def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
+    """Boot the guest, run the command, and return its exit status."""
     root, version = kernel()
-    initramfs(out, root, version, systemd, fresh is not None)
-    where = TREE if fresh is None else Path("/")
-    (out / ".command").write_text(f"cd {shlex.quote(str(where))} && exec {shlex.join(command)}\n")
+    initramfs(out, root, version, systemd)
+    (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
     status = out / ".status"
     status.unlink(missing_ok=True)
     alive, began_s = (out / ".alive", out / ".console"), time.time()
     for sign in alive:
         sign.unlink(missing_ok=True)
-    with subprocess.Popen(_qemu(root, version, out, systemd, fresh), stdin=subprocess.DEVNULL) as emulator:
+    with subprocess.Popen(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL) as emulator:
         while emulator.poll() is None:
             latest_s = max([began_s, *(sign.stat().st_mtime for sign in alive if sign.exists())])
             if time.time() - latest_s > silent_s:
@@ -158,28 +151,21 @@ def run(command: list[str], out: Path, silent_s: float, systemd: bool, fresh: Pa
     return int(status.read_text())
 
 
-def _qemu(root: Path, version: str, out: Path, systemd: bool, fresh: Path | None) -> list[str]:
+def _qemu(root: Path, version: str, out: Path, systemd: bool) -> list[str]:
     """Make QEMU's command, without hardware virtualisation: not every machine has it, and it changes the timing."""
     more = " systemd.unit=scenario.target systemd.show_status=0" if systemd else ""
     share = "security_model=none,multidevs=remap"
-    network = ("-nic", "user,model=virtio-net-pci") if fresh else ("-nic", "none")
-    memory_mib, more = ("6144", f"{more} net.ifnames=0") if fresh else ("1536", more)
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
         *("-cpu", "max,-avx,-avx2,-fma"),  # emulating these takes ten times as long
-        *("-smp", "2", "-m", memory_mib, "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
+        *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
         *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()}" + more),
         *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
         *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
         *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
-        *network,
-        *(
-            "-fsdev",
-            f"local,id=root,path={fresh or '/'},readonly=on,{share}",
-            "-device",
-            "virtio-9p-pci,fsdev=root,mount_tag=root",
-        ),
+        *("-nic", "none"),
+        *("-fsdev", f"local,id=root,path=/,readonly=on,{share}", "-device", "virtio-9p-pci,fsdev=root,mount_tag=root"),
         *("-fsdev", f"local,id=out,path={out},{share}", "-device", "virtio-9p-pci,fsdev=out,mount_tag=out"),
     ]
 
@@ -214,12 +200,6 @@ def main() -> int:
         "--silent", type=float, default=120.0, metavar="SECONDS", help="give up after no sign of life for so long (120)"
     )
     parser.add_argument("--systemd", action="store_true", help="boot systemd and udev first")
-    parser.add_argument(
-        "--fresh",
-        type=Path,
-        metavar="ROOT",
-        help="the root of another system in place of this machine's, with a network",
-    )
     parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
@@ -234,7 +214,7 @@ def main() -> int:
             args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
             print(f"guest: /out is {args.out}", file=sys.stderr)
         args.out.mkdir(parents=True, exist_ok=True)
-        return run(args.command, args.out.resolve(), args.silent, args.systemd, args.fresh)
+        return run(args.command, args.out.resolve(), args.silent, args.systemd)
     except CannotRunError as error:
         print(f"guest: {error}", file=sys.stderr)
         return EXIT_CANNOT

@@ -18,13 +18,6 @@ mkdir -p /rw/upper /rw/work
 mount -t overlay -o lowerdir=/ro,upperdir=/rw/upper,workdir=/rw/work overlay /new
 mkdir -p /new/out /new/lib/modules
 mount -t 9p -o "$options,cache=none" out /new/out
-if [ -n "@NETWORK@" ]; then # the emulator's: it is 10.0.2.2, which is also this machine's loopback, and answers DNS
-  ip link set eth0 up
-  ip addr add 10.0.2.15/24 dev eth0
-  ip route add default via 10.0.2.2
-  rm -f /new/etc/resolv.conf
-  echo nameserver 10.0.2.3 >/new/etc/resolv.conf
-fi
 modules=@MODULES@
 rm -rf "/new/lib/modules/${modules##*/}"
 ln -s "$modules" "/new/lib/modules/${modules##*/}"

@@ -125,7 +125,6 @@ def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
 
 @pytest.mark.slow
 def test_a_thousand_poses_a_second_are_all_there(link: Path) -> None:
-    """`tools/benchmarks/serial_line.py` has it for a minute."""
     rate_hz = 1000 / stretched(1)
     print(f"{rate_hz:.0f} poses a second")
     with PtyRobot(link, rate_hz=rate_hz, binary=True, poses=10_000) as robot, Side(link) as side:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt.client import MQTTMessage
+from support.fleet import FILES, CentralClient, ConfiguredBroker, board, central, people_port
 
-from tools.testbed.fleet import FILES, CentralClient, ConfiguredBroker, board, central, people_port
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import patience, wait_until
 
