@@ -169,12 +169,6 @@ dent that recovers; a phantom is a frame that still, or again, shows a contact."
         ("tools.studies.slip",),
         SCORED,
     ),
-    "shear": Page(
-        "Shear by a network, by optical flow, by tracked points",
-        "The docstring of `tools/studies/shear.py` describes the methods.",
-        ("tools.studies.shear",),
-        SCORED,
-    ),
     "limits": Page(
         "Limits",
         """\
@@ -184,24 +178,6 @@ one is not marked `degraded`.""",
         ("tools.studies.limits",),
         SCORED,
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
-    ),
-    "ablation": Page(
-        "Where the error comes from",
-        """\
-The profile `accurate`, calibrated on 8 references and 40 presses, measures the paper's five objects, and each row
-removes one cause of error.
-"Perfect calibration" uses the true geometry and the factor that is best for the scored presses. "True gradient"
-integrates the true gradient from h = 0 at the rim.""",
-        ("tools.studies.ablation",),
-        SCORED,
-    ),
-    "iterations": Page(
-        "What the paper's 25 iterations buy",
-        """\
-Three sensors measure the five objects near the tip at three depths. `paper_0` is the profile `paper` without eq. 11: it
-computes α times g_hn on the same maps.""",
-        ("tools.studies.iterations",),
-        SCORED,
     ),
     "servo": Page(
         "Loops closed on the touch",
@@ -217,14 +193,6 @@ drags it.""",
         (*DAEMON, *package("core/touch", "library", "simulator"), "tools/examples/servo", "tools/testbed/servo"),
         drawn=("servo.png",),
     ),
-    "stitching": Page(
-        "Maps with poses refined, and as reported",
-        """\
-Sensors press drawn surfaces 100 times, 4 mm apart, with depths varied by up to 0.4 mm and tilts of up to 6°. The
-robot reports exact poses or noisy ones. Figures are the RMS of height over all touched cells.""",
-        ("tools.studies.stitch_pads",),
-        (*SCORED, *package("core/stitching", "studies/stitch")),
-    ),
     "flange": Page(
         "Where the sensor sits on the flange",
         """\
@@ -233,7 +201,7 @@ for final figures; the networks do not know two of these. Each trial starts 10 m
 according to [the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. The
 robot's poses have Gaussian noise in every axis, and about a random axis through the apex.""",
         ("tools.studies.flange", "--final"),
-        (*SCORED, *package("core/stitching"), "tools/studies/drawn_pads.py", "tools/testbed/flange_plan.py"),
+        (*SCORED, *package("core/stitching"), "tools/testbed/flange_plan.py"),
     ),
     "margin": Page(
         "The margin before a slip",

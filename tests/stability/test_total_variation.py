@@ -1,7 +1,4 @@
-"""Total-variation denoising at the extremes: within its input's range, its mean kept, near float64, however long.
-
-In float32 and in int16.
-"""
+"""Total-variation denoising at the extremes: within its input's range, its mean kept, near float64, however long."""
 
 from __future__ import annotations
 
@@ -19,14 +16,9 @@ from tacshade_edge.core.image.greyscale import denoise_tv
 from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F32
-from tools.studies import total_variation_int16
-from tools.studies.total_variation_int16 import chambolle_int16, fraction_bits
 
 WEIGHTS = sorted({p.tv_weight for p in PROFILES.values() if p.tv_weight > 0} | {1e-3, 1.0, 100.0})
 LONG_BOUND = 0.02 / 255  # 0.02 grey levels
-INT16_WEIGHTS = [weight for weight in WEIGHTS if weight <= 1]
-INT16_BOUND_LSB = 32
-"""After as many iterations as there are at most: one grey level for the paper's weight."""
 
 
 def to_unit(levels: F32) -> F32:
@@ -89,46 +81,6 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     off = float(np.abs(found - precise).max())
     print(f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64")
     assert off < LONG_BOUND
-
-
-def int16_sound(image: F32, weight: float) -> float:
-    """How many LSB it is off float64 after `ITERATIONS_MAX` iterations; it must be within its input's range, too."""
-    lsb = 1 / (255 * 2 ** fraction_bits(weight))
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (total_variation, total_variation_int16):
-            patch.setattr(module, "ENOUGH", -1.0)
-        out = chambolle_int16(image, weight)
-        precise = chambolle(image.astype(np.float64), weight)
-    assert out.dtype == np.float32
-    assert out.mean(dtype=np.float64) == pytest.approx(image.mean(dtype=np.float64), abs=1e-6)
-    assert (out >= image.min() - INT16_BOUND_LSB * lsb).all()
-    assert (out <= image.max() + INT16_BOUND_LSB * lsb).all()
-    assert chambolle_int16(image, weight).tobytes() == chambolle_int16(image, weight).tobytes()
-    return float(np.abs(out - precise).max()) / lsb
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("weight", INT16_WEIGHTS)
-def test_int16_bears_every_extreme_map(weight: float) -> None:
-    off = {
-        (name, shape): int16_sound(to_unit(image(*shape)), weight)
-        for name, image in EXTREME_MAPS.items()
-        for shape in ((1, 1), (1, 64), (8, 8), (61, 64))
-    }
-    worst = max(off, key=lambda key: off[key])
-    print(f"figure: TV in int16, weight {weight:g}, 200 iterations, {worst[0]}: {off[worst]:.1f} LSB from float64")
-    assert off[worst] <= INT16_BOUND_LSB
-
-
-@pytest.mark.slow
-@given(
-    image=arrays(np.float32, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.floats(0, 1, width=32)),
-    weight=st.sampled_from(INT16_WEIGHTS),
-)
-@examples(100)
-def test_int16_bears_any_map(image: F32, weight: float) -> None:
-    """Subnormals too."""
-    assert int16_sound(image, weight) <= INT16_BOUND_LSB
 
 
 @pytest.mark.parametrize("weight", WEIGHTS)

@@ -12,8 +12,7 @@ from support.progress_lines import without_progress
 from tacshade_edge.cli import main
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8
-from tools.studies import flange
-from tools.studies.flange_recording import DELAY_S, write_recording
+from tools.studies.flange import DELAY_S, TRUE, write_recording
 from tools.testbed.calibrated_sensor import calibrated, simulated
 from tools.testbed.flange_plan import TURNS_DEG, Turns
 
@@ -35,7 +34,7 @@ def test_it_finds_the_place_and_the_delay(tmp_path: Path) -> None:
     assert about["presses"] == 50
     assert about["delay_ms"] == pytest.approx(1000 * DELAY_S, abs=5)
     # The fast profile, half the pixels, and half of the plan, from 10 mm off.
-    assert np.linalg.norm(np.subtract(about["flange_T_sensor"][:3], flange.TRUE.translation_mm)) < 2.0
+    assert np.linalg.norm(np.subtract(about["flange_T_sensor"][:3], TRUE.translation_mm)) < 2.0
 
 
 def test_motion_in_one_orientation_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from support.progress_lines import only_progress
 
 from tools.studies import evaluate
 
-STUDIES = ("ablation", "drag", "limits", "sigma", "slip")
+STUDIES = ("drag", "limits", "sigma", "slip")
 ONE_OBJECT = ["--objects", "ball", "--profile", "fast", "--references", "1", "--presses", "8"]
 
 
@@ -74,20 +74,6 @@ def test_limits_writes_its_tables_and_plots(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("half")
-def test_ablation_writes_its_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ablation = program("ablation")
-    monkeypatch.setattr(
-        ablation, "Plan", partial(ablation.Plan, objects=("ball",), references=1, presses=8, depths_mm=(3.0,))
-    )
-    ablation.main(["--sensors", "half:default", "--out", str(tmp_path)])
-    assert printed(capsys) == (tmp_path / "ablation.md").read_text(encoding="utf-8")
-    assert {row["object"] for row in table(tmp_path / "ablation.csv")} == {"ball"}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
 @pytest.mark.parametrize(("name", "count"), [("drag", 5 * 4 * 3), ("sigma", 2 * 4 * 3)])
 def test_one_writes_its_table_and_plot(
     name: str, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -101,8 +87,6 @@ def test_one_writes_its_table_and_plot(
 @pytest.mark.parametrize(
     ("name", "words", "message"),
     [
-        ("ablation", ["--profile", "fast", "accurate"], "--profile: found fast accurate, expected one"),
-        ("ablation", ["--profile", "paper"], "--profile: found paper, expected one"),
         ("drag", ["--presses", "3"], "--presses: found 3, expected 0 or at least 8"),
         ("sigma", ["--presses", "3"], "--presses: found 3"),
         ("sigma", ["--profile", "paper"], "found paper, which gives no errors"),
