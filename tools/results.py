@@ -372,24 +372,6 @@ daemon works again. [Reliability](../explanation/reliability.md) states what the
         ("tools.faults", "table"),
         FAULTS,
     ),
-    "faults-damaged": Page(
-        "Damaged inputs",
-        """\
-The program's own code reads files with flipped bits, cuts, holes, words instead of numbers, and wrong content behind
-right checksums. "Told" counts other values with a warning in the log. "Another valid value" counts damage that no
-reader can notice, because the format has no checksum or a right checksum covers the damage; damage to a checked file
-never gives one.""",
-        ("tools.faults", "damage"),
-        FAULTS,
-    ),
-    "faults-words": Page(
-        "Requests and serial lines of anything",
-        """\
-Requests enter in process, where paho delivers them, through a real broker, and over a pty. An audit hook in Python
-sees every file that the daemon opens for writing, and a subscriber sees everything that it publishes.""",
-        ("tools.faults", "words"),
-        FAULTS,
-    ),
     "faults-kills": Page(
         "kill -9 at random moments",
         """\
@@ -401,18 +383,11 @@ frame, and the next continues. After each kill, the test looks for everything th
     "faults-soak": Page(
         "A long run in which something is always wrong",
         """\
-The daemon reads 60 images a second of 640x480. The broker restarts once a minute, a subscriber stalls, one recording
-follows another, and a session is filled until the map is full, ended, and started again.""",
-        ("tools.faults", "soak", "--seconds", "3600"),
-        FAULTS,
-    ),
-    "faults-soak-hand": Page(
-        "A long run of a whole hand",
-        """\
 One command runs five fingers at 10 images a second each, two of them pressed. Both bridges serve a scraper, a viewer,
-and a viewer that reads nothing; the fingers record in turn; the broker restarts once a minute. The memory change runs
-from the minimum of the first half after 900 s to the minimum of the second.""",
-        ("tools.faults", "soak-hand", "--seconds", "7200"),
+and a viewer that reads nothing; the fingers record in turn; a robot fills one session after another; the broker
+restarts once a minute. The memory change runs from the minimum of the first half after 900 s to the minimum of the
+second.""",
+        ("tools.faults", "soak", "--seconds", "3600"),
         FAULTS,
     ),
 }

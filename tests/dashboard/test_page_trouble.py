@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,6 @@ from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
 from tacshade_edge.protocol import wire
-from tools.faults.page_faults import GRIDS, grid_message
 from tools.testbed.browser import browser, errors, errors_of_the_page
 from tools.testbed.certificate import certificate
 from tools.testbed.dashboard_process import dashboard
@@ -32,6 +33,20 @@ from tools.testbed.shown_page import (
 )
 
 pytestmark = NEEDS_A_BROWSER
+
+
+GRIDS = ((0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, float("nan")), (4, 4, 1e-30))
+
+
+def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
+    """Make a `height` message with another grid and a right checksum."""
+    payload = bytes(2 * rows * cols)
+    head = bytearray(sound[:96])
+    struct.pack_into("<HH", head, 32, rows, cols)
+    struct.pack_into("<f", head, 44, step_px)
+    struct.pack_into("<I", head, 84, len(payload))
+    struct.pack_into("<I", head, 88, zlib.crc32(bytes(head[:88]) + payload))
+    return bytes(head) + payload
 
 
 def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibration: Path) -> None:

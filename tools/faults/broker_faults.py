@@ -1,49 +1,50 @@
-"""Faults in which the broker disappears, stalls, refuses, or is shared."""
+"""Faults in which the broker disappears, stalls, refuses or is shared, and requests that nobody should send."""
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
 
-from tools.faults.rig import BASE, SENSOR_ID, Cell, Proxy, Seen, pause
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from tools.faults.rig import BASE, SENSOR_ID, Cell, Proxy, Seen, fault, pause
 from tools.testbed.mqtt_rig import Broker, Subscriber
 
 AWAY_S = 2.0
 STALL_S = 6.0
+FLOOD = 5000
 
 
+@fault("broker killed, and back")
 def killed(cell: Cell) -> Seen:
-    """The broker is killed with SIGKILL and restarted."""
-    cell.serve()
     cell.start()
     before = cell.frames()["failed"]
     since_s = cell.mark()
     cell.broker.kill()
     detected_s = cell.told("connection lost|Connection refused", since_s)
     pause(AWAY_S)
-    since_s = time.monotonic()
     cell.broker.start()
-    recovered_s = cell.maps_again(since_s)
+    recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(detected_s, recovered_s, f"{lost} frames, counted as failed", "log, `health.mqtt.losses`")
+    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
 
 
+@fault("broker absent at the start")
 def absent(cell: Cell) -> Seen:
-    """The broker is absent when the daemon starts, and for a while after that."""
-    began_s = time.monotonic()
-    cell.start(streams=False)
-    detected_s = cell.told("Connection refused", began_s, 30)
-    cell.told("source streaming", began_s, 30)
+    began_s = cell.start(streams=False)
+    detected_s = cell.told("Connection refused", began_s)
+    cell.told("source streaming", began_s)
     pause(AWAY_S)
-    since_s = time.monotonic()
     cell.serve()
-    return Seen(detected_s, cell.maps_again(since_s), "maps until then, counted as failed", "log; `doctor`")
+    return Seen("maps until then, counted as failed", "log; `doctor`", detected_s, cell.maps_again())
 
 
+@fault(f"broker stalls for {STALL_S:.0f} s")
 def stalled(cell: Cell) -> Seen:
-    """The broker neither reads nor answers for a while, but the connection stays open."""
-    cell.serve()
+    """The broker neither reads nor answers, but the connection stays open."""
     cell.start()
     before = cell.frames()
     since_s = cell.mark()
@@ -54,51 +55,48 @@ def stalled(cell: Cell) -> Seen:
             detected_s = at_s
         pause(0.02)
     cell.broker.resume()
-    recovered_s = cell.maps_again(time.monotonic())
+    recovered_s = cell.maps_again()
     after = cell.frames()
-    lost = {name: after[name] - before[name] for name in ("superseded", "failed")}
-    assert sum(lost.values()) > 0
-    text = f"{lost['superseded']} frames superseded, {lost['failed']} failed, all counted"
-    return Seen(detected_s, recovered_s, text, "log, `health`")
+    superseded, failed = (after[name] - before[name] for name in ("superseded", "failed"))
+    assert superseded + failed > 0
+    return Seen(
+        f"{superseded} frames superseded, {failed} failed, all counted", "log, `health`", detected_s, recovered_s
+    )
 
 
-def network_stalls(cell: Cell) -> Seen:
-    """The connection to the broker carries nothing for longer than the keepalive time."""
+def _through_a_network(cell: Cell, harm: str) -> Seen:
     cell.serve()
     proxy = cell.enter(Proxy(cell.broker.port))
     cell.start(cell.settings(port=proxy.port))
     before = cell.frames()["failed"]
     since_s = cell.mark()
-    proxy.stall()
-    detected_s = cell.told("connection lost", since_s, 30)
-    proxy.flow()
-    recovered_s = cell.maps_again(time.monotonic())
-    lost = cell.frames()["failed"] - before
-    return Seen(detected_s, recovered_s, f"{lost} frames, counted as failed", "log, `health.mqtt.losses`")
-
-
-def cut(cell: Cell) -> Seen:
-    """The connection is reset."""
-    cell.serve()
-    proxy = cell.enter(Proxy(cell.broker.port))
-    cell.start(cell.settings(port=proxy.port))
-    before = cell.frames()["failed"]
-    since_s = cell.mark()
-    proxy.cut()
+    if harm == "stall":
+        proxy.flows.clear()
+    else:
+        proxy.cut()
     detected_s = cell.told("connection lost", since_s)
-    recovered_s = cell.maps_again(time.monotonic())
+    proxy.flows.set()
+    recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(detected_s, recovered_s, f"{lost} frames, counted as failed", "log, `health.mqtt.losses`")
+    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
 
 
+@fault("network carries nothing")
+def network_stalls(cell: Cell) -> Seen:
+    return _through_a_network(cell, "stall")
+
+
+@fault("connection reset")
+def cut(cell: Cell) -> Seen:
+    return _through_a_network(cell, "cut")
+
+
+@fault("something else on the broker's port")
 def no_broker(cell: Cell) -> Seen:
-    """Another program listens on the broker's port and answers nonsense."""
-    cell.serve()
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        over = threading.Event()
 
         def answer() -> None:
-            while not over.is_set():
+            while True:
                 try:
                     peer, _ = listener.accept()
                 except OSError:
@@ -107,116 +105,113 @@ def no_broker(cell: Cell) -> Seen:
                     peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
 
         threading.Thread(target=answer, daemon=True).start()
-        began_s = time.monotonic()
-        cell.start(cell.settings(port=listener.getsockname()[1]), streams=False)
-        detected_s = cell.told("does not answer as an MQTT 5 broker|Connection reset|lost", began_s, 30)
-        over.set()
-    return Seen(detected_s, None, "maps, counted as failed", "log; `doctor`")
+        began_s = cell.start(cell.settings(port=listener.getsockname()[1]), streams=False)
+        detected_s = cell.told("does not answer as an MQTT 5 broker|Connection reset|lost", began_s)
+    return Seen("maps, counted as failed", "log; `doctor`", detected_s)
 
 
+@fault("broker takes small packets only")
 def small_packets(cell: Cell) -> Seen:
-    """The broker accepts packets of at most 5000 bytes."""
     cell.serve(more=("max_packet_size 5000",))
-    began_s = cell.mark()
-    cell.start()
-    detected_s = cell.told("accepts packets of at most 5000 bytes", began_s, 30)
-    frames = cell.frames()
-    assert frames["failed"] > 0
+    detected_s = cell.told("accepts packets of at most 5000 bytes", cell.start())
+    assert cell.frames()["failed"] > 0
     assert cell.last("health")["mqtt"]["losses"] == 0
-    return Seen(detected_s, None, "what is larger, counted as failed; the rest goes on", "log, `health.mqtt.refused`")
+    return Seen("what is larger, counted as failed; the rest goes on", "log, `health.mqtt.refused`", detected_s)
 
 
+@fault("broker denies publishing")
 def denied(cell: Cell) -> Seen:
-    """The broker's access rules let this user publish only on other topics."""
     rules = cell.folder / "acl"
     rules.write_text("topic read #\ntopic write tacshade/other/#\n")
     cell.serve(more=(f"acl_file {rules}",))
-    began_s = cell.mark()
-    cell.start(streams=False)
-    detected_s = cell.told("Not authorized", began_s, 30)
-    cell.told("source streaming", began_s, 30)
+    began_s = cell.start(streams=False)
+    detected_s = cell.told("Not authorized", began_s)
+    cell.told("source streaming", began_s)
     assert cell.seen.of(f"{BASE}/height") == []
-    return Seen(detected_s, None, "all maps, counted as failed", "log, `health.mqtt.refused`; `doctor`")
+    return Seen("all maps, counted as failed", "log, `health.mqtt.refused`; `doctor`", detected_s)
 
 
+@fault("wrong password")
 def wrong_password(cell: Cell) -> Seen:
-    """The broker requires another password."""
     (cell.folder / "word").write_text("wrong\n")
     cell.broker = Broker(cell.folder, users={SENSOR_ID: "right"})
-    cell.enter(cell.broker)
-    began_s = time.monotonic()
-    cell.start(cell.settings(mqtt=f", username: {SENSOR_ID}, password_file: word"), streams=False)
-    detected_s = cell.told("rejects the connection", began_s, 30)
-    return Seen(detected_s, None, "maps, counted as failed", "log; `doctor`")
+    cell.broker.start()
+    settings = cell.settings(mqtt=f", username: {SENSOR_ID}, password_file: word")
+    detected_s = cell.told("rejects the connection", cell.start(settings, streams=False))
+    return Seen("maps, counted as failed", "log; `doctor`", detected_s)
 
 
+@fault("a second daemon, same sensor_id and folders")
 def same_id(cell: Cell) -> Seen:
-    """Another daemon starts with the same sensor_id on the same files."""
-    cell.serve()
     cell.start()
-    count = cell.session("one")
-    since_s = cell.mark()
-    other = cell.spawn(cell.settings(name="other.yaml"), "other")
-    try:
-        cell.until(lambda: "in use by" in cell.log("other"), 15, "it is told")
-        detected_s = time.monotonic() - since_s
+    count = cell.session()
+    with cell.second("in use by") as detected_s:
         pause(3.0)
-    finally:
-        other.kill()
-        other.wait()
-    recovered_s = cell.maps_again(time.monotonic())
-    assert cell.presses(count) >= count
-    return Seen(detected_s, recovered_s, "no press", "both logs")
+    recovered_s = cell.maps_again()
+    cell.presses(count)
+    return Seen("no press", "both logs", detected_s, recovered_s)
 
 
+@fault("a second daemon, same sensor_id, other folders")
 def same_id_elsewhere(cell: Cell) -> Seen:
-    """Another daemon starts with the same sensor_id on its own files."""
-    cell.serve()
     cell.start()
-    count = cell.session("one")
-    text = cell.settings(name="other.yaml").read_text().replace("recs}", "recs2}").replace("maps}", "maps2}")
-    path = cell.folder / "other.yaml"
-    path.write_text(text)
-    since_s = cell.mark()
-    other = cell.spawn(path, "other")
-    try:
-        cell.until(lambda: "another daemon, on" in cell.log("other"), 15, "it is told")
-        detected_s = time.monotonic() - since_s
+    count = cell.session()
+    with cell.second("another daemon, on", ("recs}", "recs2}"), ("maps}", "maps2}")) as detected_s:
         pause(5.0)
         assert "connection lost" not in cell.new_log()
-    finally:
-        other.kill()
-        other.wait()
-    recovered_s = cell.maps_again(time.monotonic())
-    assert cell.presses(count) >= count
-    return Seen(detected_s, recovered_s, "no frame, no press", "the other's log; `doctor`; `status/rival`")
+    recovered_s = cell.maps_again()
+    cell.presses(count)
+    return Seen("no frame, no press", "the other's log; `doctor`; `status/rival`", detected_s, recovered_s)
 
 
+@fault("a subscriber that does not read")
 def never_reading(cell: Cell) -> Seen:
-    """A client subscribes to everything but reads nothing."""
-    cell.serve()
     cell.start()
-    before = cell.frames()
+    before = cell.frames()["published"]
     with Subscriber(cell.broker.port) as deaf:
         deaf.client.loop_stop()
         pause(STALL_S)
-        after = cell.frames()
-    published = after["published"] - before["published"]
-    assert published > 0
-    return Seen(None, None, "what that subscriber did not read", "mosquitto's `$SYS`; the daemon is not concerned")
+        assert cell.frames()["published"] > before
+    return Seen("what that subscriber did not read", "mosquitto's `$SYS`; the daemon is not concerned")
 
 
-FAULTS = {
-    "broker killed, and back": killed,
-    "broker absent at the start": absent,
-    f"broker stalls for {STALL_S:.0f} s": stalled,
-    "network carries nothing": network_stalls,
-    "connection reset": cut,
-    "something else on the broker's port": no_broker,
-    "broker takes small packets only": small_packets,
-    "broker denies publishing": denied,
-    "wrong password": wrong_password,
-    "a second daemon, same sensor_id and folders": same_id,
-    "a second daemon, same sensor_id, other folders": same_id_elsewhere,
-    "a subscriber that does not read": never_reading,
-}
+@fault("an answer is wanted on the sensor's own topics")
+def reply_topic(cell: Cell) -> Seen:
+    cell.start()
+    since_s = cell.mark()
+    with Subscriber(cell.broker.port, f"{BASE}/#", v5=True) as attacker:
+        before = len(attacker.messages)
+        for topic in ("state", "info", "req/stitch", "res", f"../{SENSOR_ID}/state"):
+            properties = Properties(PacketTypes.PUBLISH)
+            properties.ResponseTopic = f"{BASE}/{topic}"
+            for payload in (b"{}", b"garbage"):
+                attacker.publish(f"{BASE}/req/status", payload, properties=properties)
+        attacker.wait_for(f"{BASE}/res/status", 10, 20)
+        took_s = time.monotonic() - since_s
+        wrong = {m.topic for m in attacker.messages[before:] if b'"ok"' in m.payload and "/res/" not in m.topic}
+        assert not wrong, wrong
+        assert set(attacker.of(f"{BASE}/state")) <= {b"online"}
+    return Seen("nothing", f"answers are on `res/status`, in {took_s:.1f} s")
+
+
+@fault(f"{FLOOD} requests at once")
+def flood(cell: Cell) -> Seen:
+    cell.start()
+    cell.mark()
+    for number in range(FLOOD):
+        cell.seen.publish(f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0)
+
+    def answered() -> bool:
+        # Only a few answers may wait for the broker, so one may be missing.
+        cell.seen.publish(f"{BASE}/req/status", b"{}")
+        pause(0.1)
+        return any(b'"ok":true' in answer for answer in cell.seen.of(f"{BASE}/res/status"))
+
+    answered_s = cell.until(answered, 30, "an answer to a request for the status")
+    cell.maps_again()
+    lines = cell.new_log().splitlines()
+    assert len(lines) < 60, len(lines)
+    assert not any("\x1b" in line for line in lines)
+    cell.frames()
+    told = f"answers; {len(lines)} lines of log"
+    return Seen("requests over 16 that wait, refused as busy", told, None, answered_s)

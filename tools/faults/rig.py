@@ -20,7 +20,9 @@ from typing import Any
 
 import cv2
 
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording import Recording
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
@@ -29,7 +31,6 @@ FREE_FRAMES, TOUCHED_FRAMES = 32, 32
 """At 60 frames a second, a contact comes to rest (0.3 s), and a reference fits between two contacts."""
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
-COMMAND = (sys.executable, "-m", "tacshade_edge")
 
 
 def write_posed_images(folder: Path) -> None:
@@ -50,91 +51,104 @@ class Seen:
 
     Attributes
     ----------
+    lost, told : str
+        What was lost, and where the daemon reported the fault.
     detected_s : float or None
         Time until the daemon reported it; None if there is nothing to report.
     recovered_s : float or None
         Time from the fault's end until the daemon worked again; None if nothing stops working.
-    lost : str
-    told : str
-        Where the daemon reported it.
     """
 
-    detected_s: float | None
-    recovered_s: float | None
     lost: str
     told: str
+    detected_s: float | None = None
+    recovered_s: float | None = None
 
 
 class SkippedError(Exception):
     """The fault cannot be produced here; the message says why."""
 
 
-class Cell:
-    """One daemon and its surroundings; every path is below its folder.
+Fault = Callable[["Cell"], Seen]
+FAULTS: dict[str, Fault] = {}
+"""Every fault by its name in the table."""
 
-    Parameters
-    ----------
-    folder : Path
-        Folder for images, calibration, recordings and sessions.
-    """
+
+def fault(name: str) -> Callable[[Fault], Fault]:
+    """Enter a function in the table."""
+
+    def entered(function: Fault) -> Fault:
+        FAULTS[name] = function
+        return function
+
+    return entered
+
+
+class Cell:
+    """One daemon and its surroundings; every path is below its folder."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.broker = Broker(folder)
-        self.daemon: subprocess.Popen[bytes] | None = None
+        self.seen = Subscriber(self.broker.port, f"{BASE}/#")
+        self._daemon: subprocess.Popen[bytes] | None = None
         self._closing = contextlib.ExitStack()
         self._mark = 0
         write_posed_images(folder / "images")
         calibration_file.save(folder / "c.npz", painted_calibration())
 
     def __enter__(self) -> Cell:
-        self.seen = Subscriber(self.broker.port, f"{BASE}/#")
-        self._closing.callback(self.broker.stop)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.daemon is not None:
-            self.daemon.send_signal(signal.SIGCONT)
-            self.daemon.kill()
-            self.daemon.wait()
+        if self._daemon is not None:
+            self.kill()
         self._closing.close()
+        self.broker.stop()
+
+    @property
+    def daemon(self) -> subprocess.Popen[bytes]:
+        """The running daemon."""
+        assert self._daemon is not None
+        return self._daemon
 
     def enter(self, manager: Any) -> Any:
         """Enter a context manager that exits with the cell."""
         return self._closing.enter_context(manager)
 
     def serve(self, **options: Any) -> None:
-        """Start the broker, with options for `Broker`, and subscribe to its messages."""
+        """Start the broker, with options for `Broker`, and subscribe to the daemon's messages."""
         if options:
             self.broker = Broker(self.folder, **options)
             self.seen = Subscriber(self.broker.port, f"{BASE}/#")
-            self._closing.callback(self.broker.stop)
         self.broker.start()
         self.enter(self.seen)
 
-    def settings(
-        self, more: str = "", *, port: int | None = None, name: str = "s.yaml", images: str = "images", mqtt: str = ""
-    ) -> Path:
+    def settings(self, more: str = "", *, port: int | None = None, profile: str = "fast", mqtt: str = "") -> Path:
         """Write the settings; return their path."""
-        path = self.folder / name
-        path.write_text(
-            f"sensor_id: {SENSOR_ID}\nprofile: fast\ncalibration: c.npz\n"
-            f"source: {{kind: files, path: {images}, fps: 60, loop: true}}\n"
+        path = self.folder / "s.yaml"
+        fresh = path.with_suffix(".new")
+        fresh.write_text(
+            f"sensor_id: {SENSOR_ID}\nprofile: {profile}\ncalibration: c.npz\n"
+            "source: {kind: files, path: images, fps: 60, loop: true}\n"
             f"mqtt: {{host: 127.0.0.1, port: {port or self.broker.port}{mqtt}}}\n"
             f"recorder: {{folder: recs}}\nstitching: {{folder: maps}}\n{more}"
         )
-        return path
+        return fresh.replace(path)
 
     def start(
         self, path: Path | None = None, *, streams: bool = True, environment: dict[str, str] | None = None
-    ) -> None:
-        """Start the daemon and wait for its frames."""
-        self._mark = len(self.log())
-        self.daemon = self.spawn(path or self.settings(), environment=environment)
+    ) -> float:
+        """Start the daemon, if `streams` also the broker, and wait for frames; return the start's time in s."""
+        if streams and not self.seen.client.is_connected():
+            self.serve()
+        self._mark, began_s = len(self.log()), time.monotonic()
+        self._daemon = self.spawn(path or self.settings(), environment=environment)
         if streams:
             self.until(lambda: "source streaming" in self.new_log(), 30, "frames")
             self.until(lambda: self.last("health").get("frames", {}).get("captured", 0) > 5, 30, "health")
+        return began_s
 
     def spawn(
         self,
@@ -144,15 +158,32 @@ class Cell:
         environment: dict[str, str] | None = None,
     ) -> subprocess.Popen[bytes]:
         """Start a daemon; `environment` is added to this process's environment."""
-        words, around = [*COMMAND, "run", "--config", str(path)], {**os.environ, **(environment or {})}
+        words = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(path)]
         with (self.folder / log).open("a") as stream:
-            return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=around)
+            return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=os.environ | (environment or {}))
+
+    @contextlib.contextmanager
+    def second(self, told: str, *changes: tuple[str, str]) -> Iterator[float]:
+        """Run another daemon on changed settings until its log contains `told`; yield the seconds that this took."""
+        text = (self.folder / "s.yaml").read_text()
+        for old, new in changes:
+            text = text.replace(old, new)
+        (self.folder / "other.yaml").write_text(text)
+        began_s = time.monotonic()
+        other = self.spawn(self.folder / "other.yaml", "other")
+        try:
+            self.until(lambda: told in self.log("other"), 20, f"{told}: {self.log('other')[-300:]!r}")
+            yield time.monotonic() - began_s
+        finally:
+            other.kill()
+            other.wait()
 
     def kill(self) -> None:
         """Kill the daemon with SIGKILL."""
-        assert self.daemon is not None
+        self.daemon.send_signal(signal.SIGCONT)
         self.daemon.kill()
         self.daemon.wait()
+        self._daemon = None
 
     def log(self, name: str = "log") -> str:
         """Read a log; by default, the one that the cell's daemons share."""
@@ -164,40 +195,41 @@ class Cell:
         return self.log()[self._mark :]
 
     def mark(self) -> float:
-        """Skip the log so far; return the time in s."""
+        """Skip the log and the messages so far; return the time in s."""
         self._mark = len(self.log())
         self.seen.messages.clear()
         return time.monotonic()
 
-    def told(self, pattern: str, since_s: float, seconds: float = 20) -> float:
+    def told(self, pattern: str, since_s: float, seconds: float = 30) -> float:
         """Wait until a new line of the log matches; return the seconds since `since_s`."""
         self.until(lambda: re.search(pattern, self.new_log()), seconds, f"{pattern} in {self.new_log()[-300:]!r}")
         return time.monotonic() - since_s
 
-    def until(self, condition: Callable[[], object], seconds: float, what: str) -> None:
-        """Poll until the condition holds; fail immediately if the daemon has ended."""
+    def until(self, condition: Callable[[], object], seconds: float, what: str) -> float:
+        """Poll until the condition holds, and return the seconds; fail immediately if the daemon has ended."""
 
         def holds() -> object:
-            assert self.daemon is None or self.daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
+            assert self._daemon is None or self._daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
             return condition()
 
+        began_s = time.monotonic()
         wait_until(holds, seconds, what)
+        return time.monotonic() - began_s
 
     def last(self, topic: str) -> Any:
         """Decode a topic's latest JSON message; an empty object if there is none."""
         payloads = self.seen.of(f"{BASE}/{topic}")
         return json.loads(payloads[-1]) if payloads else {}
 
-    def maps_again(self, since_s: float, seconds: float = 20) -> float:
-        """Wait for height maps of frames from now on; return the seconds since `since_s`."""
+    def maps_again(self) -> float:
+        """Wait for height maps of frames from now on; return the seconds."""
         now_ns = time.monotonic_ns()
         self.seen.messages.clear()
 
         def fresh() -> int:
             return sum(int.from_bytes(p[16:24], "little") > now_ns for p in self.seen.of(f"{BASE}/height"))
 
-        self.until(lambda: fresh() > 2, seconds, "height maps")
-        return time.monotonic() - since_s
+        return self.until(lambda: fresh() > 2, 20, "height maps")
 
     def frames(self) -> dict[str, int]:
         """Read the frame counts of the next health message, which must add up."""
@@ -221,11 +253,35 @@ class Cell:
         found: int = self.last("status/stitching")["presses"]
         return found
 
-    def session(self, name: str, count: int = 3) -> int:
+    def session(self, name: str = "one", count: int = 3) -> int:
         """Begin a session and wait for at least `count` presses."""
         answer = self.ask("stitch", action="begin", name=name)
         assert answer["ok"], answer
         return self.presses(count)
+
+    def record(self, name: str = "r", frames: int = 30, **more: str) -> None:
+        """Start a recording and wait until it has some frames."""
+        assert self.ask("record", action="start", seconds=600, name=name, **more)["ok"]
+        self.until(lambda: self.last("status/recorder").get("frames", 0) > frames, 30, "a recording")
+
+    def ended(self, process: subprocess.Popen[bytes]) -> int:
+        """Wait until a process ends without a traceback; return its exit code."""
+        code = process.wait(patience(30))
+        assert "Traceback" not in self.log(), self.log()[-300:]
+        return code
+
+
+def frames_of(path: Path) -> tuple[list[int], list[str]]:
+    """Read a recording's time stamps in ns, and the reports of damage."""
+    recording, stamps_ns = Recording(path), list[int]()
+    told: list[str] = []
+    while True:
+        try:
+            if (recorded := recording.read()) is None:
+                return stamps_ns, told
+            stamps_ns.append(recorded.frame.t_ns)
+        except DecodeError as error:
+            told.append(str(error))
 
 
 class Proxy:
@@ -233,8 +289,8 @@ class Proxy:
 
     def __init__(self, port: int) -> None:
         self._to = port
-        self._flows, self._over = threading.Event(), threading.Event()
-        self._flows.set()
+        self.flows = threading.Event()
+        self.flows.set()
         self._pairs: list[socket.socket] = []
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listener.getsockname()[1])
@@ -244,18 +300,9 @@ class Proxy:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._flows.set()
+        self.flows.set()
         self._listener.close()
         self.cut()
-
-    def stall(self) -> None:
-        """Let nothing through, without closing a connection."""
-        self._flows.clear()
-
-    def flow(self) -> None:
-        """Let bytes through again."""
-        self._flows.set()
 
     def cut(self) -> None:
         """Reset all open connections."""
@@ -267,25 +314,23 @@ class Proxy:
         self._pairs.clear()
 
     def _accept(self) -> None:
-        while not self._over.is_set():
-            try:
+        with contextlib.suppress(OSError):
+            while True:
                 client, _ = self._listener.accept()
-            except OSError:
-                return
-            try:
-                broker = socket.create_connection(("127.0.0.1", self._to), 2)
-            except OSError:
-                client.close()
-                continue
-            broker.settimeout(None)
-            self._pairs += (client, broker)
-            for source, sink in ((client, broker), (broker, client)):
-                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+                try:
+                    broker = socket.create_connection(("127.0.0.1", self._to), 2)
+                except OSError:
+                    client.close()
+                    continue
+                broker.settimeout(None)
+                self._pairs += (client, broker)
+                for source, sink in ((client, broker), (broker, client)):
+                    threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
 
     def _carry(self, source: socket.socket, sink: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
-                self._flows.wait()
+                self.flows.wait()
                 sink.sendall(data)
         for one in (source, sink):
             with contextlib.suppress(OSError):
@@ -310,8 +355,3 @@ def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
 def pause(seconds: float) -> None:
     """Wait for as long as a fault lasts."""
     threading.Event().wait(seconds)
-
-
-def ended(process: subprocess.Popen[bytes], seconds: float = 20) -> int:
-    """Wait until a process ends; return its exit code."""
-    return process.wait(patience(seconds))

@@ -1,312 +1,307 @@
-"""A long run in which something is always wrong: is memory flat, and is every frame accounted for?
+"""A long run of a whole hand in which something is always wrong: is memory flat, and is every frame accounted for?
 
-The daemon reads 60 images a second of 640x480, drawn in advance. The broker restarts every `RESTART_S`, a subscriber
-repeatedly reads nothing for `STALL_S`, one recording follows another, and a robot fills one session after another until
-its map is full.
+Each of five fingers is a process that reads a ring of images drawn in advance. The broker restarts every `RESTART_S`,
+the fingers record in turn, and a robot fills one session after another until its map is full. A scraper reads
+Prometheus' page. One viewer reads everything that Foxglove's bridge offers; another reads nothing, disconnects without
+notice and reconnects.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shutil
-import socket
-import statistics
 import struct
 import subprocess
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.tables.frame_table import read_table
+from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.daemon_rig import draw_rings, memory_mb
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.robot import PtyRobot
 
-FPS = 60.0
-RESTART_S, AWAY_S = 60.0, 2.0
-STALL_S = 20.0
-RECORD_S = 15.0
-ADD_S = 0.25
-PLACE_S, PLACES, PLACE_MM = 0.25, 21, 48.0
+FINGERS = tuple(f"finger{k}" for k in range(5))
+PRESSED = 2
+FPS = 10.0
+RESTART_S, AWAY_S, RECORD_S, STALL_S = 60.0, 2.0, 15.0, 20.0
+PERIODS_S = {
+    "restart": RESTART_S,
+    "memory": 5.0,
+    "progress": 60.0,
+    "record": RECORD_S + 2.0,
+    "scrape": 5.0,
+    "add": 0.25,
+}
+PLACES, PLACE_MM = 21, 48.0
 WARM_UP_S = 900.0
-"""Time until some sessions have ended and the allocator has taken the memory it keeps; at most a quarter of the run."""
+"""Time until some sessions have ended and allocators keep the memory that they have; at most a quarter of the run."""
 FLAT = 0.02
-BASE = "tacshade/finger"
 
 
 def place(at_s: float) -> PoseValues:
     """The robot's pose at a time: it visits the places of a square, which are further apart than a press is wide."""
-    number = int(at_s / PLACE_S)
+    number = int(at_s / PERIODS_S["add"])
     return (number % PLACES * PLACE_MM, number // PLACES % PLACES * PLACE_MM, 60.0, 0.0, 1.0, 0.0, 0.0)
 
 
-@dataclass(slots=True)
-class Soaked:
-    """The results of the run."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    problems: list[str] = field(default_factory=list)
-    resident_mb: list[tuple[float, float]] = field(default_factory=list)
-    cycles: list[tuple[float, float]] = field(default_factory=list)
-    """Begin and end of each session, in s."""
-    last: dict[str, Any] = field(default_factory=dict)
-    took_s: float = 0.0
-
-    @property
-    def warm_up_s(self) -> float:
-        """The time at the beginning that does not count."""
-        return min(WARM_UP_S, self.took_s / 4)
-
-    @property
-    def change(self) -> float:
-        """Relative change of the daemon's least memory, from the first half after the warm-up to the second.
-
-        A session's map and rasters come and go; a leak would add to the memory that remains without them.
-        """
-        middle_s = (self.warm_up_s + self.took_s) / 2
-        first = [mb for at_s, mb in self.resident_mb if self.warm_up_s < at_s <= middle_s]
-        second = [mb for at_s, mb in self.resident_mb if at_s > middle_s]
-        return min(second) / min(first) - 1
-
-
 class Soak:
-    """The daemon and the programs that work with it."""
+    """The run and its results."""
 
-    def __init__(self, folder: Path, broker: Broker, seen: Subscriber, pid: int) -> None:
-        self.out = Soaked()
-        self._folder, self._broker, self._seen, self._pid = folder, broker, seen, pid
-        self._began_s = time.monotonic()
-        self._seq = -1
-        self._session_since_s: float | None = None
-        self._full = False
-        self._recording = ""
-        self._stop_asked = False
-        self._down_since_s: float | None = None
+    def __init__(self, folder: Path, broker: Broker, seen: Subscriber, hand: subprocess.Popen[bytes]) -> None:
+        self.counts, self.problems = Counter[str](), list[str]()
+        self.health: dict[str, dict[str, Any]] = {}
+        self.resident_mb: dict[str, list[tuple[float, float]]] = {}
+        """(time in s, memory in MB) of each process."""
+        self.took_s = 0.0
+        self._folder, self._broker, self._seen, self._hand = folder, broker, seen, hand
+        self._last_seq: dict[str, int] = {}
+        self._session = ""
+        """Empty, `open`, or `full`."""
+        self.over = threading.Event()
 
-    def run(self, seconds: float, still_runs: Callable[[], bool], progress: bool) -> None:
-        """Run until the time is over."""
-        next_s = {"add": 0.0, "restart": RESTART_S, "memory": 0.0, "told": 60.0, "record": 0.0}
-        while (at_s := time.monotonic() - self._began_s) < seconds:
-            if not still_runs():
-                self.out.problems.append(f"the daemon ended after {at_s:.0f} s")
-                return
-            self._hear(at_s)
-            due = [name for name, due_s in next_s.items() if at_s >= due_s]
-            if "memory" in due:
-                next_s["memory"] = at_s + 1.0
-                self.out.resident_mb.append((at_s, memory_mb(self._pid)["resident"]))
-            if "restart" in due and self._down_since_s is None:
-                next_s["restart"] = at_s + RESTART_S
-                self._broker.stop()
-                self._down_since_s = at_s
-                self.out.counts["restarts of the broker"] += 1
-            if self._down_since_s is not None:
-                if at_s > self._down_since_s + AWAY_S:
-                    self._broker.start()
-                    self._down_since_s = None
-            else:
-                if "add" in due:
-                    next_s["add"] = at_s + ADD_S
-                    self._stitch(at_s)
-                if "record" in due:
-                    next_s["record"] = at_s + 2.0
-                    self._record(at_s)
-            if progress and "told" in due:
-                next_s["told"] = at_s + 60.0
-                frames = self.out.last.get("frames", {})
-                mb = self.out.resident_mb[-1][1]
-                print(f"{at_s:6.0f} s {mb:6.1f} MB {frames} {dict(self.out.counts)}", file=sys.stderr, flush=True)
-            threading.Event().wait(0.02)
-        self.out.took_s = time.monotonic() - self._began_s
+    def run(self, seconds: float, bridges: dict[str, BridgeProcess]) -> None:
+        """Restart brokers, record, stitch, scrape and measure memory until the time is over."""
+        began_s = time.monotonic()
+        next_s = {what: min(10.0, period_s) for what, period_s in PERIODS_S.items()} | {"restart": RESTART_S}
+        down_since_s: float | None = None
+        while (at_s := time.monotonic() - began_s) < seconds:
+            if self._hand.poll() is not None:
+                self.problems.append(f"the hand ended after {at_s:.0f} s")
+                break
+            self.hear()
+            if down_since_s is not None and at_s > down_since_s + AWAY_S:
+                self._broker.start()
+                down_since_s = None
+            for what in [what for what, due_s in next_s.items() if at_s >= due_s]:
+                next_s[what] = at_s + PERIODS_S[what]
+                if what == "memory":
+                    self._measure(at_s, bridges)
+                elif what == "scrape":
+                    self.scrape(bridges["prometheus"])
+                elif what == "progress":
+                    print(f"{at_s:6.0f} s {dict(self.counts)} {self.problems}", file=sys.stderr, flush=True)
+                elif down_since_s is not None:
+                    continue
+                elif what == "restart":
+                    self._broker.stop()
+                    down_since_s = at_s
+                    self.counts["restarts of the broker"] += 1
+                elif what == "record":
+                    finger = FINGERS[self.counts["recordings"] % len(FINGERS)]
+                    self._ask(finger, "record", {"action": "start", "seconds": RECORD_S})
+                else:
+                    action = {"": "begin", "open": "add", "full": "end"}[self._session]
+                    self._ask(FINGERS[0], "stitch", {"action": action})
+            self.over.wait(0.02)
+        if down_since_s is not None:
+            self._broker.start()
+        self.took_s = time.monotonic() - began_s
+        self.over.wait(15.0)  # so that all clients reconnect
 
-    def settle(self) -> None:
-        """Take the last health message after the daemon's stop."""
-        self._hear(time.monotonic() - self._began_s)
+    def view(self, url: str, reads: bool) -> None:
+        """Subscribe to everything that the bridge offers, and read it only if `reads`, until the run is over."""
+        who = "viewer" if reads else "viewer that reads nothing"
+        while not self.over.is_set():
+            with (
+                contextlib.suppress(OSError, WebSocketException, TimeoutError),
+                connect(
+                    url, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None, compression=None, max_queue=1
+                ) as viewer,
+            ):
+                self.counts[f"{who}: connections"] += 1
+                while not self.over.is_set():
+                    told = viewer.recv(timeout=STALL_S)
+                    if isinstance(told, str):
+                        offered = json.loads(told).get("channels", ())
+                        wanted = [{"id": one["id"], "channelId": one["id"]} for one in offered]
+                        viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                        continue
+                    self.counts[f"{who}: messages"] += 1
+                    if not reads:
+                        self.over.wait(STALL_S)
+                        viewer.socket.close()
+                        break
+            self.over.wait(1.0)
 
-    def _ask(self, verb: str, body: dict[str, Any]) -> None:
-        self._seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode(), 0)
+    def scrape(self, bridge: BridgeProcess) -> set[str]:
+        """Read Prometheus' page; return the fingers that it reports as up."""
+        self.counts["pages of metrics"] += 1
+        return set(re.findall(r'tacshade_up\{sensor="(\w+)"\} 1\.0', bridge.page()))
 
-    def _stitch(self, at_s: float) -> None:
-        if self._session_since_s is None:
-            self._ask("stitch", {"action": "begin"})
-        elif self._full:
-            self._ask("stitch", {"action": "end"})
-        else:
-            self._ask("stitch", {"action": "add"})
-
-    def _record(self, at_s: float) -> None:
-        self._ask("record", {"action": "start", "seconds": RECORD_S})
-
-    def _hear(self, at_s: float) -> None:
+    def hear(self) -> None:
+        """Check and count the messages received since the last call."""
         messages, self._seen.messages[:] = list(self._seen.messages), []
         for message in messages:
-            topic = message.topic.removeprefix(f"{BASE}/")
-            if topic == "height":
-                self._take_height(bytes(message.payload))
+            _, name, topic = message.topic.split("/", 2)
+            if name == "hand":
+                self.counts["messages of the hand"] += topic.endswith("objects")
+            elif topic == "height":
+                (seq,) = struct.unpack_from("<I", message.payload, 8)
+                if seq <= self._last_seq.get(name, -1):
+                    self.problems.append(f"{name}: frame {seq} after {self._last_seq[name]}")
+                self._last_seq[name] = seq
+                self.counts["height maps received"] += 1
             elif topic == "health":
-                self._take_health(json.loads(message.payload))
+                frames = (health := json.loads(message.payload))["frames"]
+                self.health[name] = health
+                if frames["captured"] != sum(count for outcome, count in frames.items() if outcome != "captured"):
+                    self.problems.append(f"{name}: not accounted for: {frames}")
             elif topic == "status/recorder":
-                self._take_recorder(json.loads(message.payload))
+                self._take_recording(json.loads(message.payload))
             elif topic == "res/stitch":
-                self._take_stitch(json.loads(message.payload), at_s)
-            elif topic == "state":
-                self.out.counts[f"state {message.payload.decode()}"] += 1
+                self._take_answer(json.loads(message.payload))
 
-    def _take_height(self, payload: bytes) -> None:
-        (seq,) = struct.unpack_from("<I", payload, 8)
-        self.out.counts["height maps received"] += 1
-        if seq <= self._seq:
-            self.out.problems.append(f"frame {seq} after {self._seq}")
-        self._seq = seq
-
-    def _take_health(self, health: dict[str, Any]) -> None:
-        frames = health["frames"]
-        self.out.last = health
-        self.out.counts["health messages"] += 1
-        if frames["captured"] != sum(count for name, count in frames.items() if name != "captured"):
-            self.out.problems.append(f"not accounted for: {frames}")
-
-    def _take_recorder(self, status: dict[str, Any]) -> None:
+    def _take_recording(self, status: dict[str, Any]) -> None:
         """Read a finished recording and delete it."""
-        if status["state"] == "recording" or not status.get("folder"):
+        folder = Path(status.get("folder") or "/nowhere")
+        if status["state"] == "recording" or not folder.is_dir():
             return
-        folder = Path(status["folder"])
-        if not folder.is_dir():
-            return
-        rows = read_table(folder / "frames.csv")
-        pictures = sum(1 for _ in folder.glob("*.png"))
-        if not len(rows) == pictures == status["frames"]:
-            self.out.problems.append(f"{folder.name}: {len(rows)} rows, {pictures} images, told {status['frames']}")
-        self.out.counts["recordings"] += 1
-        self.out.counts["frames recorded"] += len(rows)
-        self.out.counts["frames not recorded, and told"] += status["dropped"]
+        rows, pictures = len(read_table(folder / "frames.csv")), sum(1 for _ in folder.glob("*.png"))
+        if not rows == pictures == status["frames"]:
+            self.problems.append(f"{folder.name}: {rows} rows, {pictures} images, {status['frames']} reported")
+        self.counts += {"recordings": 1, "frames recorded": rows, "frames not recorded": status["dropped"]}
         shutil.rmtree(folder)
 
-    def _take_stitch(self, answer: dict[str, Any], at_s: float) -> None:
-        if answer["ok"] and "press" in answer["result"]:
-            self.out.counts["presses added"] += 1
-        elif answer["ok"] and "used" in answer["result"]:
-            assert self._session_since_s is not None
-            self.out.cycles.append((self._session_since_s, at_s))
-            self.out.counts["sessions filled and ended"] += 1
-            self._session_since_s, self._full = None, False
-            shutil.rmtree(self._folder / "maps" / answer["result"]["name"], ignore_errors=True)
-        elif answer["ok"]:
-            self._session_since_s = at_s
+    def _take_answer(self, answer: dict[str, Any]) -> None:
+        """Follow the session."""
+        result, code = answer.get("result") or {}, answer.get("reason_code")
+        if not answer["ok"]:
+            self.counts[f"stitch refused: {code}"] += 1
+            states = {"map_full": "full", "no_session": "", "busy": self._session or "open"}
+            self._session = states.get(str(code), self._session)
+        elif "press" in result:
+            self.counts["presses added"] += 1
+        elif "used" in result:
+            self.counts["sessions filled and ended"] += 1
+            self._session = ""
+            for folder in self._folder.glob(f"maps/**/{result['name']}"):
+                shutil.rmtree(folder, ignore_errors=True)
         else:
-            code = answer["reason_code"]
-            self.out.counts[f"stitch refused: {code}"] += 1
-            self._full = self._full or code == "map_full"
-            if code == "busy" and self._session_since_s is None:
-                self._session_since_s = at_s
-            elif code == "no_session":
-                self._session_since_s, self._full = None, False
+            self._session = "open"
+
+    def _ask(self, name: str, verb: str, body: dict[str, Any]) -> None:
+        self._seen.publish(f"tacshade/{name}/req/{verb}", json.dumps(body).encode(), 0)
+
+    def _measure(self, at_s: float, bridges: dict[str, BridgeProcess]) -> None:
+        children = subprocess.run(("pgrep", "-P", str(self._hand.pid)), capture_output=True, check=False).stdout.split()
+        named = {f"hand, process {pid}": pid for pid in (self._hand.pid, *map(int, children))}
+        if self.resident_mb and not set(named) <= set(self.resident_mb):
+            self.problems.append(f"another process after {at_s:.0f} s: {sorted(named)}")
+        for process, pid in (named | {kind: bridge.process.pid for kind, bridge in bridges.items()}).items():
+            self.resident_mb.setdefault(process, []).append((at_s, memory_mb(pid)["resident"]))
+
+    def change(self, process: str) -> float:
+        """Relative change of a process's least memory, from the first half after the warm-up to the second.
+
+        A session's map comes and goes; a leak would add to the memory that remains without it.
+        """
+        warm_up_s = min(WARM_UP_S, self.took_s / 4)
+        middle_s = (warm_up_s + self.took_s) / 2
+        told = self.resident_mb[process]
+        first = min(mb for at_s, mb in told if warm_up_s < at_s <= middle_s)
+        return min(mb for at_s, mb in told if at_s > middle_s) / first - 1
+
+    def judge(self) -> None:
+        """Check the last health messages and the memory."""
+        for name in FINGERS:
+            health = self.health.get(
+                name, {"frames": {"pending": 1, "captured": 0}, "uptime_s": 0, "source_dropped": 0}
+            )
+            frames, due = health["frames"], health["uptime_s"] * FPS
+            if frames["pending"] or abs(frames["captured"] + health["source_dropped"] - due) > 3 * FPS:
+                self.problems.append(f"{name}: {frames}, {health['source_dropped']} dropped, {due:.0f} were due")
+        for process in self.resident_mb:
+            if abs(self.change(process)) > FLAT:
+                self.problems.append(f"{process}: memory changed by {self.change(process):+.1%}")
+
+    def table(self) -> str:
+        """Write a table of what was done and what resulted."""
+        rows = ["| what | |", "|---|---:|", f"| seconds | {self.took_s:.0f} |"]
+        rows += [f"| {what} | {count} |" for what, count in sorted(self.counts.items()) if count]
+        outcomes = Counter[str]()
+        for health in self.health.values():
+            outcomes += Counter(health["frames"]) + Counter(
+                {"dropped by the source, and counted": health["source_dropped"]}
+            )
+        rows += [f"| frames of all fingers: {outcome} | {count} |" for outcome, count in outcomes.items()]
+        for number, (process, told) in enumerate(self.resident_mb.items()):
+            name = re.sub(r" \d+$", f" {number}", process)
+            most = max(mb for _, mb in told)
+            rows.append(f"| {name}: most MB, change of the least | {most:.0f}, {self.change(process):+.1%} |")
+        return "\n".join((*rows, f"| not accounted for, out of order, ended, grown | {len(self.problems)} |"))
 
 
-@contextlib.contextmanager
-def never_reading(port: int) -> Iterator[Counter[str]]:
-    """Subscribe to everything, read nothing for `STALL_S`, disconnect without notice, and repeat."""
-    over, counts = threading.Event(), Counter[str]()
-
-    def stall() -> None:
-        while not over.is_set():
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 2) as one:
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                connect = b"\x00\x04MQTT\x04\x02\x00\x3c" + struct.pack(">H", 5) + b"stall"
-                one.sendall(bytes((0x10, len(connect))) + connect)
-                one.recv(4)
-                topic = b"\x00\x01" + struct.pack(">H", 1) + b"#" + b"\x01"
-                one.sendall(bytes((0x82, len(topic))) + topic)
-                counts["stalls of a subscriber"] += 1
-                over.wait(STALL_S)
-            over.wait(1.0)
-
-    thread = threading.Thread(target=stall)
-    thread.start()
-    try:
-        yield counts
-    finally:
-        over.set()
-        thread.join()
+def settings(folder: Path, port: int, link: Path) -> Path:
+    """Write the hand's calibrations and settings; return the settings' path."""
+    lines = ["hand_id: soaked", "profile: fast", f"mqtt: {{host: 127.0.0.1, port: {port}}}"]
+    lines += ["recorder: {folder: recs}", "stitching: {folder: maps}", "sensors:"]
+    for k, name in enumerate(FINGERS):
+        calibration_file.save(folder / f"{name}.npz", make_calibration())
+        robot = f", serial: {{device: /dev/..{link}}}" if k == 0 else ""  # the settings require a path below /dev
+        own = f"calibration: {name}.npz, source: {{kind: simulated}}{robot}"
+        lines.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}")
+    path = folder / "hand.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
-def run(seconds: float, *, progress: bool = False) -> Soaked:
-    """Run the daemon for `seconds`."""
+def run(seconds: float) -> tuple[str, list[str]]:
+    """Run the hand for `seconds`; return a table and the problems."""
     with TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         draw_rings(folder)
-        calibration_file.save(folder / "c.npz", make_calibration())
         broker = stack.enter_context(Broker(folder))
-        link = folder / "line"
-        robot = stack.enter_context(PtyRobot(link, rate_hz=100, binary=True, where=place))
-        config = folder / "config.yaml"
-        # The settings require a path below /dev.
-        config.write_text(
-            f"sensor_id: finger\nprofile: fast\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
-            f"serial: {{device: /dev/..{link}}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
-            "recorder: {folder: recs}\nstitching: {folder: maps}\n"
-        )
-        program = (sys.executable, "-m", "tools.testbed.ring_daemon")
-        log = stack.enter_context((folder / "log").open("w"))
-        daemon = subprocess.Popen([*program, config, folder / "contact.npy", str(FPS)], stderr=log)
-        stack.callback(daemon.kill)
-        with Subscriber(broker.port, f"{BASE}/#") as seen, never_reading(broker.port) as stalls:
-            soak = Soak(folder, broker, seen, daemon.pid)
-            soak.run(seconds, lambda: daemon.poll() is None, progress)
-            daemon.terminate()
-            code = daemon.wait(20)
-            threading.Event().wait(1.0)
-            soak.settle()
-        out = soak.out
-        out.counts += stalls
+        robot = stack.enter_context(PtyRobot(folder / "line", rate_hz=100, binary=True, where=place))
+        seen = stack.enter_context(Subscriber(broker.port, "tacshade/#"))
+        rings = [folder / f"{'contact' if k < PRESSED else 'free'}.npy" for k in range(len(FINGERS))]
+        words = list(map(str, (settings(folder, broker.port, folder / "line"), FPS, *rings)))
+        with (folder / "log").open("w") as log:
+            hand = subprocess.Popen([sys.executable, "-m", "tools.testbed.ring_hand", *words], stderr=log)
+        stack.callback(hand.kill)
+        bridges = {
+            kind: stack.enter_context(BridgeProcess(kind, broker.port, folder / f"{kind}.log"))
+            for kind in ("prometheus", "foxglove")
+        }
+        soak = Soak(folder, broker, seen, hand)
+        viewers = [threading.Thread(target=soak.view, args=(bridges["foxglove"].url, reads)) for reads in (True, False)]
+        for viewer in viewers:
+            viewer.start()
+        try:
+            soak.run(seconds, bridges)
+        finally:
+            soak.over.set()
+            for viewer in viewers:
+                viewer.join()
+        if (up := soak.scrape(bridges["prometheus"])) != set(FINGERS):
+            soak.problems.append(f"prometheus at the end: up are {sorted(up)}")
+        hand.terminate()
+        code = hand.wait(30)
+        threading.Event().wait(2.0)
+        soak.hear()
+        for kind, bridge in bridges.items():
+            soak.counts[f"ms until {kind} ended"] = round(1000 * bridge.stopped_s())
+        logs = {file.name: file.read_text() for file in (folder / "log", *folder.glob("*.log"))}
+        soak.problems += [f"{file}: {text[-1000:]}" for file, text in logs.items() if "Traceback" in text]
         if code:
-            out.problems.append(f"exit code {code}: {(folder / 'log').read_text()[-1000:]}")
-        out.counts["lines of its log"] = len((folder / "log").read_text().splitlines())
-        _judge(out, robot)
-    return out
-
-
-def _judge(out: Soaked, robot: PtyRobot) -> None:
-    health = out.last
-    frames, serial = health["frames"], health["serial"]
-    if frames["pending"]:
-        out.problems.append(f"{frames['pending']} frames pending after the stop")
-    if out.counts["height maps received"] > frames["published"]:
-        out.problems.append(f"{out.counts['height maps received']} received, {frames['published']} published")
-    if serial["poses"] + serial["poses_lost"] > robot.told.poses:
-        out.problems.append(f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.told.poses}")
-    due = out.last["uptime_s"] * FPS
-    if abs(frames["captured"] + health["source_dropped"] - due) > 3 * FPS:
-        out.problems.append(f"{frames['captured']} captured, {health['source_dropped']} dropped, {due:.0f} were due")
-    if abs(out.change) > FLAT:
-        out.problems.append(f"memory changed by {out.change:+.1%}, expected within {FLAT:.0%}")
-
-
-def table(out: Soaked) -> str:
-    """Write a table of the load and its outcome."""
-    health, megabytes = out.last, [mb for _, mb in out.resident_mb]
-    serial = health["serial"]
-    rows = ["| what | |", "|---|---:|", f"| seconds | {out.took_s:.0f} |"]
-    rows += [f"| {what} | {count} |" for what, count in sorted(out.counts.items()) if count]
-    rows += [f"| frames: {name} | {count} |" for name, count in health["frames"].items()]
-    rows += [f"| frames that came before the last was read, and were counted | {health['source_dropped']} |"]
-    rows += [f"| poses heard, lost and counted | {serial['poses']}, {serial['poses_lost']} |"]
-    rows += [f"| resident MB, least, median, most | {min(megabytes):.0f}, {statistics.median(megabytes):.0f}, "]
-    rows[-1] += f"{max(megabytes):.0f} |"
-    for number, (began_s, ended_s) in enumerate(out.cycles):
-        within = [mb for at_s, mb in out.resident_mb if began_s <= at_s <= ended_s] or [0.0]
-        rows.append(f"| session {number + 1}: from s to s, most MB | {began_s:.0f}, {ended_s:.0f}, {max(within):.0f} |")
-    change = f"{out.change:+.1%} after {out.warm_up_s:.0f} s"
-    rows += [f"| memory, the least of the second half to that of the first | {change} |"]
-    rows += [f"| not accounted for, out of order, lost | {len(out.problems)} |"]
-    return "\n".join(rows)
+            soak.problems.append(f"exit code {code}: {logs['log'][-1000:]}")
+        serial = soak.health.get(FINGERS[0], {}).get("serial", {"poses": 0, "poses_lost": 1 << 60})
+        if serial["poses"] + serial["poses_lost"] > robot.told.poses:
+            soak.problems.append(f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.told.poses}")
+        soak.counts["lines of the hand's log"] = len(logs["log"].splitlines())
+        soak.judge()
+        return soak.table(), soak.problems

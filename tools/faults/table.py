@@ -1,4 +1,4 @@
-"""The registry of faults, and the table of their outcomes."""
+"""The table of the faults' outcomes."""
 
 from __future__ import annotations
 
@@ -8,50 +8,30 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tools.faults import (
-    bridge_faults,
-    broker_faults,
-    capture_faults,
-    disk_faults,
-    page_faults,
-    process_faults,
-    request_faults,
-    robot_faults,
-    source_faults,
-)
-from tools.faults.rig import Cell, Seen, SkippedError
+from tools.faults import broker_faults, disk_faults, input_faults, process_faults
+from tools.faults.rig import FAULTS, Cell, Fault, SkippedError
 
-Fault = Callable[[Cell], Seen]
-FAULTS: dict[str, Fault] = {
-    **broker_faults.FAULTS,
-    **bridge_faults.FAULTS,
-    **request_faults.FAULTS,
-    **robot_faults.FAULTS,
-    **source_faults.FAULTS,
-    **disk_faults.FAULTS,
-    **process_faults.FAULTS,
-    **page_faults.FAULTS,
-    **capture_faults.FAULTS,
-}
+MODULES = (broker_faults, input_faults, disk_faults, process_faults)
+"""Whose functions are in `FAULTS`, in this order."""
 HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
 
 
-def run_one(fault: Fault) -> Seen:
-    """Run a fault with a new daemon and broker. Raises AssertionError (a promise is broken) and SkippedError."""
+def run_one(fault: Fault) -> tuple[str, ...]:
+    """Run a fault with a new daemon and broker; return its cells. Raises AssertionError if a promise is broken."""
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
-        return fault(cell)
+        seen = fault(cell)
+    times = ("" if value is None else f"{value:.1f}" for value in (seen.detected_s, seen.recovered_s))
+    return (*times, seen.lost, seen.told)
 
 
-def run(names: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
+def run(words: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield the rows of the table, each with its problem or an empty string."""
     for name, fault in FAULTS.items():
-        if names and not any(word in name for word in names):
+        if words and not any(word in name for word in words):
             continue
-        began_s = time.monotonic()
-        problem = ""
+        began_s, problem = time.monotonic(), ""
         try:
-            seen = run_one(fault)
-            row = (name, _seconds(seen.detected_s), _seconds(seen.recovered_s), seen.lost, seen.told)
+            row = (name, *run_one(fault))
         except SkippedError as skipped:
             row = (name, "", "", f"not tried: {skipped}", "")
         except Exception as error:  # noqa: BLE001
@@ -65,7 +45,3 @@ def table(rows: list[tuple[str, ...]]) -> str:
     """Write the table."""
     lines = ["| " + " | ".join(HEAD) + " |", "|---|---:|---:|---|---|"]
     return "\n".join((*lines, *("| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows)))
-
-
-def _seconds(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}"

@@ -357,3 +357,23 @@ def test_a_session_cut_repeated_reordered_and_damaged_is_done_once(binary: bool,
     assert sorted(done) == sorted(set(done)) == sorted(asked)  # each once
     for command in desk.done:
         assert asked[command.seq or 0].startswith(f"#{command.seq} {command.verb}".encode())
+
+
+_WORD = st.sampled_from(
+    ("1", "0", "-1", "nan", "1e300", "x", "../x", "crc=req", "boot=b", "BEGIN", "ADD", "END", "é", "")
+)
+_VERB = st.sampled_from(("HELLO", "SYNC", "POSE", "CAPTURE", "REFERENCE", "STATUS", "HELP", "STITCH", "TOUCH", "NOPE"))
+_LINE = st.builds(
+    lambda seq, verb, words: " ".join((seq, verb, *words)),
+    st.sampled_from(("", "#7", "#70000")),
+    _VERB,
+    st.lists(_WORD),
+)
+
+
+@given(st.lists(st.binary(max_size=80) | _LINE.map(lambda line: line.encode()) | _LINE.filter(str.isascii).map(seal)))
+def test_whatever_comes_gets_sound_answers_and_a_greeting_is_heard_after_it(pieces: list[bytes]) -> None:
+    desk = Desk()
+    for piece in pieces:
+        desk.send(piece + b"\n")
+    assert any(said.startswith("OK 9") for said in desk.send(b"\n" + seal("#9 HELLO 1")))
