@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hmac
+import secrets
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Final
 
 WRONG_MAX: Final = 10
 PERIOD_S: Final = 60.0
-"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens unchecked."""
+"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens unchecked, except
+the cookies of browsers that have already shown theirs: others at that address cannot lock them out."""
 
 _ADDRESSES_MAX: Final = 256
+_BROWSERS_MAX: Final = 256
+_BROWSER_BYTES: Final = 16
 _COOKIE_S: Final = 30 * 24 * 3600
 
 
@@ -35,8 +39,8 @@ class Login:
     ----------
     token : str
     cookie : str
-        Name of the cookie that keeps the token in the browser. It contains the port, since browsers share cookies
-        between all ports of a machine.
+        Name of the cookie that proves a browser's login. It contains the port, since browsers share cookies between
+        all ports of a machine.
     secure : bool
         The page is served over TLS, so browsers send the cookie only over TLS.
 
@@ -49,18 +53,27 @@ class Login:
     def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
         self._token = token.encode()
         self._cookie = cookie
-        flags = "; Secure" if secure else ""
-        self.set_cookie = f"{cookie}={token}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{flags}"
+        self._flags = "; Secure" if secure else ""
         self._tries: dict[str, _Tries] = {}
+        self._browsers: dict[str, None] = {}
         self.wrong = 0
 
+    def set_cookie(self) -> str:
+        """Return the header ``Set-Cookie`` for a browser that has logged in."""
+        browser = secrets.token_urlsafe(_BROWSER_BYTES)
+        value = f"{browser}.{self._signed(browser)}"
+        return f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{self._flags}"
+
+    def _signed(self, browser: str) -> str:
+        return hmac.digest(self._token, browser.encode(errors="surrogateescape"), "sha256").hex()
+
     def kept(self, cookies: str | None) -> str | None:
-        """Return the token of a request's header ``Cookie``; None without one."""
+        """Return the value of our cookie in a request's header ``Cookie``; None without one."""
         pairs = (pair.strip().partition("=") for pair in (cookies or "").split(";"))
         return next((value for name, _, value in pairs if name == self._cookie), None)
 
-    def refusal(self, offered: str | None, address: str, now_s: float) -> HTTPStatus | None:
-        """Return the status that rejects a request; None when it may proceed.
+    def refusal(self, token: str | None, kept: str | None, address: str, now_s: float) -> HTTPStatus | None:
+        """Return the status that rejects a request with a token or else a cookie; None when it may proceed.
 
         Repeating a wrong token is no new try: a page that was open when the token changed retries every second.
         """
@@ -68,12 +81,17 @@ class Login:
         if tries is not None and now_s - tries.since_s > PERIOD_S:
             del self._tries[address]
             tries = None
-        if offered is None:
+        if token is None and kept is None:
             return HTTPStatus.UNAUTHORIZED
-        if tries is not None and tries.wrong >= WRONG_MAX:
+        browser, _, signature = (kept or "").rpartition(".")
+        is_known = token is None and browser in self._browsers
+        if tries is not None and tries.wrong >= WRONG_MAX and not is_known:
             return HTTPStatus.TOO_MANY_REQUESTS
+        offered, expected = (signature, self._signed(browser).encode()) if token is None else (token, self._token)
         guess = offered.encode(errors="surrogateescape")
-        if hmac.compare_digest(guess, self._token):
+        if hmac.compare_digest(guess, expected):
+            if token is None:
+                self._remember(browser)
             return None
         if tries is None:
             if len(self._tries) >= _ADDRESSES_MAX:
@@ -84,3 +102,8 @@ class Login:
             tries.wrong += 1
             self.wrong += 1
         return HTTPStatus.UNAUTHORIZED
+
+    def _remember(self, browser: str) -> None:
+        if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:
+            del self._browsers[next(iter(self._browsers))]
+        self._browsers[browser] = None

@@ -84,10 +84,15 @@ class RecordingCommands:
 
     async def _download(self, page: ServerConnection, path: Path) -> None:
         await _answer(page, ok=True, bytes=await asyncio.to_thread(recordings.tar_bytes, path))
-        pieces = recordings.tar(path)
-        while piece := await asyncio.to_thread(next, pieces, b""):
+        loop = asyncio.get_running_loop()
+
+        async def send(piece: bytes) -> None:
             async with asyncio.timeout(STALL_S):
                 await page.send(piece)
+
+        await asyncio.to_thread(
+            recordings.tar, path, lambda piece: asyncio.run_coroutine_threadsafe(send(piece), loop).result()
+        )
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play a recording for as long as the page keeps this connection open."""

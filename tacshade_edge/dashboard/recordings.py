@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
 import shutil
 import stat
 import tarfile
-import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 from tacshade_edge.errors import DeviceError
@@ -23,11 +24,10 @@ LISTED_MAX: Final = 200
 _LOOKED_AT_MAX: Final = 2000
 _ABOUT: Final = "recording.json"
 _SIGNS: Final = (_ABOUT, "frames.csv", "frames.csv.part", "000.mcap", "000.mcap.part")
+_LOCKED: Final = ("events.jsonl.part", "events.jsonl")
+"""The recorder holds a lock on its events until the recording is whole, however long no frame comes."""
 _ABOUT_BYTES_MAX: Final = 1 << 20
-_STILL_S: Final = 10.0
-"""An unfinished recording that grew within this time (s) is still being written."""
 _CHUNK_BYTES: Final = 1 << 18
-_BLOCK: Final = tarfile.BLOCKSIZE
 _NAME: Final = re.compile(RECORD_NAME)
 
 
@@ -117,49 +117,46 @@ def delete(path: Path) -> None:
 
 
 def tar_bytes(path: Path) -> int:
-    """Return how many bytes `tar` yields if nothing changes. Raises DeviceError."""
-    return sum(_BLOCK + _padded(size) for _, size, _ in _files(path)) + 2 * _BLOCK
+    """Return how many bytes `tar` writes if nothing changes. Raises DeviceError."""
+    blocks = 2 + sum(1 + -(-about.st_size // tarfile.BLOCKSIZE) for _, about in _files(path))
+    return -(-blocks * tarfile.BLOCKSIZE // tarfile.RECORDSIZE) * tarfile.RECORDSIZE
 
 
-def tar(path: Path) -> Iterator[bytes]:
-    """Yield the regular files of a recording as an uncompressed tar, in pieces, without its links.
+def tar(path: Path, write: Callable[[bytes], object]) -> None:
+    """Write the regular files of a recording as an uncompressed tar, in pieces, without its links.
 
     Raises
     ------
     DeviceError
         A file cannot be read, or has shrunk.
     """
-    for file, size, mtime_s in _files(path):
-        info = tarfile.TarInfo(f"{path.name}/{file.name}")
-        info.size, info.mtime = size, int(mtime_s)
-        yield info.tobuf(tarfile.GNU_FORMAT)
-        left = size
-        try:
-            with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as stream:
-                while left:
-                    chunk = stream.read(min(left, _CHUNK_BYTES))
-                    if not chunk:
-                        raise DeviceError(f"{file.name} shrank while it was being read")
-                    left -= len(chunk)
-                    yield chunk
-        except OSError as error:
-            raise DeviceError(f"{file.name} cannot be read: {error.strerror or error}") from error
-        yield bytes(_padded(size) - size)
-    yield bytes(2 * _BLOCK)
+    sink = SimpleNamespace(write=write)
+    # Closed only when whole: its end would make a part of it look complete.
+    archive = tarfile.open(fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT)  # noqa: SIM115
+    name = path.name
+    try:
+        for name, about in _files(path):
+            info = tarfile.TarInfo(f"{path.name}/{name}")
+            info.size, info.mtime = about.st_size, int(about.st_mtime)
+            with open(os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as stream:
+                archive.addfile(info, stream)
+        archive.close()
+    except TimeoutError:  # of `write`
+        raise
+    except OSError as error:
+        raise DeviceError(f"{name} cannot be read: {error.strerror or error}") from error
+    finally:
+        sink.write = len  # an archive that is not closed writes its rest when it is collected
 
 
-def _padded(size: int) -> int:
-    return -(-size // _BLOCK) * _BLOCK
-
-
-def _files(path: Path) -> list[tuple[Path, int, float]]:
-    """Return the regular files in order: path, size in bytes, modification time in s."""
+def _files(path: Path) -> list[tuple[str, os.stat_result]]:
+    """Return the regular files in order."""
     try:
         with os.scandir(path) as entries:
-            found = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
+            found = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
     except OSError as error:
         raise DeviceError(f"{path.name} cannot be read: {error.strerror or error}") from error
-    return sorted((file, about.st_size, about.st_mtime) for file, about in found if stat.S_ISREG(about.st_mode))
+    return sorted((name, about) for name, about in found if stat.S_ISREG(about.st_mode))
 
 
 def _names(folder: Path) -> list[str]:
@@ -190,12 +187,22 @@ def _look_at(folder: Path, name: str) -> Listed:
         except (OSError, ValueError, RecursionError):
             about = {}
     began_ns = _count(about.get("first_wall_ns")) or int(changed_s * 1e9)
-    is_growing = not is_whole and abs(time.time() - changed_s) < _STILL_S and _is_unfinished(path)
+    is_growing = not is_whole and any(_is_locked(path / name) for name in _LOCKED)
     return Listed(name, _count(about.get("frames")), _count(about.get("bytes")), began_ns, is_growing)
 
 
-def _is_unfinished(path: Path) -> bool:
-    return any((path / sign).exists() for sign in _SIGNS if sign.endswith(".part"))
+def _is_locked(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def _count(value: object) -> int | None:

@@ -111,14 +111,16 @@ class Pages:
         if path in _OPEN and offered is None:
             return None
         address, before = str((page.remote_address or ("",))[0]), tokens.wrong
-        refused = tokens.refusal(kept if offered is None else offered, address, time.monotonic())
+        refused = tokens.refusal(offered, kept, address, time.monotonic())
         if tokens.wrong > before:
             _log.warning("rejected a wrong token from %s (%d so far)", address, tokens.wrong)
         if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and offered is None:
             return self._response(HTTPStatus.SEE_OTHER, b"", {"Location": _LOGIN.removeprefix("/")})
         if refused is not None:
             return self._text(refused, _REFUSED[refused], {"WWW-Authenticate": "Bearer"})
-        return self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie}) if path == _LOGIN else None
+        return (
+            self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie()}) if path == _LOGIN else None
+        )
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":

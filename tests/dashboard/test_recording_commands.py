@@ -35,6 +35,8 @@ async def asked(port: int, command: object, **words: Any) -> tuple[dict[str, Any
 
 def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
     path = recorded(tmp_path, "run")
+    for size in (0, 511, 512, 1 << 20):
+        (path / f"{size:07}.png").write_bytes(bytes(size))
 
     async def test() -> None:
         async with running(recordings=tmp_path) as port:
@@ -43,7 +45,7 @@ def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
             first, tar, _ = await asked(port, {"action": "download", "name": "run"})
             assert first == {"ok": True, "bytes": len(tar)}
             with tarfile.open(fileobj=io.BytesIO(tar)) as opened:
-                assert "run/frames.csv" in opened.getnames()
+                assert {Path(name).name for name in opened.getnames()} == {file.name for file in path.iterdir()}
             assert (await asked(port, {"action": "delete", "name": "run"}))[0] == {"ok": True}
             assert not path.exists()
             assert (await asked(port, {"action": "list"}))[0]["recordings"] == []

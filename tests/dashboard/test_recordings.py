@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import tarfile
@@ -14,17 +15,10 @@ from support.recordings import LONG_AGO_S, recorded
 
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.errors import DeviceError
-
-
-def growing(folder: Path, name: str, changed_s: float | None = None) -> Path:
-    path = folder / name
-    path.mkdir()
-    table = path / "frames.csv.part"
-    table.write_text("image,t_ns\n")
-    if changed_s is not None:
-        for each in (table, path):
-            os.utime(each, (changed_s, changed_s))
-    return path
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.types import Frame
+from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
 def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> None:
@@ -42,13 +36,20 @@ def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> 
     ]
 
 
-def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not(tmp_path: Path) -> None:
-    growing(tmp_path, "now")
-    growing(tmp_path, "cut-off", LONG_AGO_S)
-    assert {r.name: r.is_growing for r in recordings.listed(tmp_path)} == {"now": True, "cut-off": False}
-    with pytest.raises(DeviceError, match="now is still being written"):
-        recordings.find(tmp_path, "now")
-    assert recordings.find(tmp_path, "cut-off") == tmp_path / "cut-off"
+@pytest.mark.parametrize("kind", ["folder", "mcap"])
+def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "run"
+    recorder = Recorder(path, free_floor_bytes=0) if kind == "folder" else McapRecorder(path, "t", free_floor_bytes=0)
+    recorder.begin("", painted_calibration())
+    recorder.add(Frame(0, 1, 1, FREE), png_of(FREE))
+    for each in (path, *path.iterdir()):  # no frame for a long time
+        os.utime(each, (LONG_AGO_S, LONG_AGO_S))
+    assert [r.is_growing for r in recordings.listed(tmp_path)] == [True]
+    with pytest.raises(DeviceError, match="run is still being written"):
+        recordings.find(tmp_path, "run")
+    recorder.close()  # as the end of its process does
+    assert [(r.is_growing, r.frames) for r in recordings.listed(tmp_path)] == [(False, None)]
+    assert recordings.find(tmp_path, "run") == path
 
 
 @pytest.mark.parametrize(
@@ -85,25 +86,35 @@ def test_the_tar_is_what_tar_reads_without_links(tmp_path: Path) -> None:
     (path / "secret").symlink_to("/etc/passwd")
     (path / "big.bin").write_bytes(bytes(range(256)) * 4096)
     os.mkfifo(path / "pipe")
-    whole = b"".join(recordings.tar(path))
+    for size in (*range(513), 1 << 18, 10240 - 512):  # of the last block, and of what is sent at once
+        (path / f"size-{size}").write_bytes(bytes([size % 256]) * size)
+    pieces: list[bytes] = []
+    recordings.tar(path, pieces.append)
+    assert all(pieces)
+    whole = b"".join(pieces)
     assert len(whole) == recordings.tar_bytes(path)
     with tarfile.open(fileobj=io.BytesIO(whole)) as tar:
         tar.extractall(tmp_path / "there", filter="data")
     there = tmp_path / "there/run"
     assert {p.name: p.read_bytes() for p in there.iterdir()} == {
-        name: (path / name).read_bytes() for name in ("000000.png", "frames.csv", "recording.json", "big.bin")
+        p.name: p.read_bytes() for p in path.iterdir() if p.is_file() and not p.is_symlink()
     }
 
 
 def test_a_file_that_shrinks_meanwhile_is_an_error_and_not_a_wrong_tar(tmp_path: Path) -> None:
     path = recorded(tmp_path, "run")
-    (path / "a.bin").write_bytes(bytes(1 << 20))
-    pieces = recordings.tar(path)
-    while len(next(pieces)) < 1000:
-        pass
-    (path / "a.bin").write_bytes(b"")
-    with pytest.raises(DeviceError, match=r"a\.bin shrank"):
-        list(pieces)
+    (path / "a.bin").write_bytes(bytes(1 << 22))
+    pieces: list[bytes] = []
+
+    def write(piece: bytes) -> None:
+        pieces.append(piece)
+        (path / "a.bin").write_bytes(b"")
+
+    with pytest.raises(DeviceError, match=r"a\.bin cannot be read: unexpected end"):
+        recordings.tar(path, write)
+    before = len(pieces)
+    gc.collect()
+    assert len(pieces) == before
 
 
 def test_deleting_follows_no_links_and_says_what_it_could_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -77,6 +78,7 @@ class Recorder:
         with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
             self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
+            fcntl.flock(self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the recording is whole
             self._begin_frames()
             sync(self.folder)
 
@@ -118,11 +120,11 @@ class Recorder:
         """Complete the recording and write ``recording.json``."""
         self.sync()
         with disk_errors(self.folder):
-            for name, stream in self._lines.items():
-                stream.close()
+            for name in self._lines:
                 os.replace(part(self.folder / name), self.folder / name)
             write_whole(self.folder / "recording.json", (json.dumps(about, indent=2) + "\n").encode())
             sync(self.folder)
+        self.close()
 
     def close(self) -> None:
         """Close the files of an unfinished recording."""
