@@ -44,12 +44,8 @@ class Cluster:
     def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
         """Yield ``fn(task)`` of every task, in their order.
 
-        Raises
-        ------
-        ConfigError
-            The scheduler or a worker runs a different program.
-        DeviceError
-            The scheduler or every worker is lost, or a job's workers died one after another.
+        Raises ConfigError (the scheduler or a worker runs a different program) and DeviceError (the scheduler or every
+        worker is lost, or a job's workers died one after another).
         """
         from distributed import KilledWorker
 
@@ -92,12 +88,8 @@ class Cluster:
 def connected(address: str) -> Iterator[Cluster]:
     """Connect to a scheduler for as long as the context lasts.
 
-    Raises
-    ------
-    ConfigError
-        The extra is not installed, the address is not valid, or the cluster runs other versions.
-    DeviceError
-        No scheduler answers, or it has no worker.
+    Raises ConfigError (the extra is not installed, the address is not valid, or the cluster runs other versions) and
+    DeviceError (no scheduler answers, or it has no worker).
     """
     try:
         import dask

@@ -50,17 +50,9 @@ def workers(cluster: str | None = None) -> Iterator[Workers]:
     Jobs are module-level functions, so that another process finds them; ``map`` yields results in the order of the
     tasks, wherever they run. Results are bit-identical on processors of the same kind.
 
-    Parameters
-    ----------
-    cluster : str or None
-        The scheduler's address, such as ``tcp://scheduler:8786``.
-
-    Raises
-    ------
-    ConfigError
-        The extra `cluster` is not installed, or the cluster runs other versions.
-    DeviceError
-        A process was killed; the cluster cannot be reached, has no workers, or lost those that ran a job.
+    `cluster` is a scheduler's address, such as ``tcp://scheduler:8786``. Raises ConfigError (the extra `cluster` is not
+    installed, or the cluster runs other versions) and DeviceError (a process was killed; the cluster cannot be reached,
+    has no workers, or lost those that ran a job).
     """
     if cluster is not None:
         from tacshade_edge.studies.cluster import connected
@@ -76,18 +68,7 @@ def workers(cluster: str | None = None) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def processes(*, fresh: bool = False) -> Iterator[Workers]:
-    """Start a process for each usable core of this machine.
-
-    Parameters
-    ----------
-    fresh : bool
-        Whether each job gets a new process.
-
-    Raises
-    ------
-    DeviceError
-        A process was killed.
-    """
+    """Start a process for each usable core, or, if `fresh`, for each job. Raises DeviceError (a process was killed)."""
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
     reuse = 1 if fresh else None
     pool = ProcessPoolExecutor(usable_cores(), mp_context=context, initializer=_start, max_tasks_per_child=reuse)

@@ -31,10 +31,7 @@ def stages_ms(
 ) -> dict[str, float]:
     """Run one step; return the milliseconds of each stage that ran, in order. Their sum is the step's time.
 
-    Parameters
-    ----------
-    clock_ns : callable
-        `work_ns` counts only this thread's processor time, however busy the machine is.
+    The clock `work_ns` counts only this thread's processor time, however busy the machine is.
     """
     taken: dict[str, float] = {}
     last = clock_ns()

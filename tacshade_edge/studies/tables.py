@@ -1,13 +1,16 @@
-"""Format rows as tables for programs (CSV) and people (Markdown)."""
+"""Write rows as tables for programs (CSV, JSON) and people (Markdown), and as plots; only plots import matplotlib."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import Any
+from operator import attrgetter
+from typing import Any, TypeVar
+
+Row = TypeVar("Row")
 
 _WORDS = ("object", "method", "sensor", "what")
 """Leading columns with these names are left-aligned."""
@@ -47,3 +50,48 @@ def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
     rule = [":" + "-" * (w - 1) if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
     return "\n".join([row(header), row(rule), *(row(line) for line in lines)])
+
+
+def grouped(rows: Iterable[Row], attribute: str) -> dict[Any, list[Row]]:
+    """Rows by the value of an attribute, in the order in which the values first appear."""
+    groups: dict[Any, list[Row]] = {}
+    value = attrgetter(attribute)
+    for row in rows:
+        groups.setdefault(value(row), []).append(row)
+    return groups
+
+
+def number(value: float, spec: str) -> str:
+    """A number as a cell; empty for NaN."""
+    return "" if math.isnan(value) else format(value, spec)
+
+
+def without_nan(value: Any) -> Any:
+    """Replace NaN by None, because JSON lacks NaN."""
+    if isinstance(value, dict):
+        return {key: without_nan(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(v) for v in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def new_figure(rows: int, columns: int, width: float, height: float, dpi: int = 100) -> tuple[Any, Any]:
+    """A figure of a size in inches, and its axes (rows, columns) with a light grid."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for each in axes.flat:
+        each.spines[["top", "right"]].set_visible(False)
+        each.grid(color="#e6e6e6", linewidth=0.8)
+        each.set_axisbelow(True)
+    return figure, axes
+
+
+def png(figure: Any) -> bytes:
+    """A figure as a PNG."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()

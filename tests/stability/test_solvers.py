@@ -15,7 +15,7 @@ from support.extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
 from tacshade_edge.core.depth import Depth, hybrid_sfs
 from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.greyscale import normalise, shape_grey
-from tacshade_edge.studies.scaled_grey import scaled_grey
+from tacshade_edge.studies.tradeoff.grid import scaled_grey
 from tacshade_edge.types import F32, F64, Bool
 
 ALPHA_MM = 3.0

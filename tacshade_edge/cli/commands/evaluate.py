@@ -19,9 +19,9 @@ from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate import picture, report
 from tacshade_edge.studies.evaluate.labelled import COLUMNS
 from tacshade_edge.studies.evaluate.own_images import evaluate_images
+from tacshade_edge.studies.evaluate.report import figures
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES
-from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text

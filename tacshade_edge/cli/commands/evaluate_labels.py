@@ -15,8 +15,7 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
-from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, document, found_row, text
-from tacshade_edge.studies.evaluate.labelled_picture import draw
+from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, document, draw, found_row, text
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Calibration, Frame

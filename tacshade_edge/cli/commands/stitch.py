@@ -22,11 +22,16 @@ from tacshade_edge.rigid import from_seven
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
 from tacshade_edge.storage.tables.poses_table import read_poses
-from tacshade_edge.studies.stitch.average import radius_average
-from tacshade_edge.studies.stitch.contact_frames import frames_of_presses, read_contact_frames
-from tacshade_edge.studies.stitch.picture import write_comparison
-from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
-from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, read_recording, stitcher_of
+from tacshade_edge.studies.stitch.presses import (
+    Press,
+    all_points,
+    frames_of_presses,
+    read_contact_frames,
+    read_presses,
+    read_recording,
+    stitcher_of,
+)
+from tacshade_edge.studies.stitch.truth import KnownSurface, radius_average, read_known, score, write_comparison
 from tacshade_edge.types import Calibration
 
 EXIT_FAILED = 1

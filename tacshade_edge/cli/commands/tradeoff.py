@@ -16,12 +16,9 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.parallel import workers
-from tacshade_edge.studies.tradeoff import board_report, budget, picture, report
-from tacshade_edge.studies.tradeoff.accuracy import score_settings
-from tacshade_edge.studies.tradeoff.cases import SensorCases, simulated
+from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.grid import Setting, grid
-from tacshade_edge.studies.tradeoff.summary import Point
-from tacshade_edge.studies.tradeoff.work import weigh_and_time
+from tacshade_edge.studies.tradeoff.measure import Point, SensorCases, score_settings, simulated, weigh_and_time
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -87,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     document = report.document(found, data, busy)
     study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)
     if drawn:
-        study.write(args.out / "tradeoff.png", picture.draw(found, args.budget_ms))
+        study.write(args.out / "tradeoff.png", report.draw(found, args.budget_ms))
     kept = args.budget_ms is None or _print_settings(found, args.budget_ms, aside=args.json)
     return 0 if kept and not mistakes else 1
 
@@ -101,22 +98,22 @@ def _report(args: argparse.Namespace) -> int:
         args.usage_error("--report prints Markdown: expected no --json")
     machine, progress = Machine(), Progress()
     facts, before = board_facts(machine), heat(machine)
-    settings = [Setting(PROFILES[name]) for name in board_report.PROFILES]
+    settings = [Setting(PROFILES[name]) for name in report.PROFILES]
     with workers() as pool:
         images = simulated(study.sensors("default"), tuple(PAPER_OBJECTS), pool, progress)
         rows = score_settings(settings, images, pool, progress)
     found, busy = weigh_and_time(settings, images, rows, progress)
     if before:
         facts |= {"before": before, "after": heat(machine)}
-    print(board_report.block(facts, found, busy), end="")
+    print(report.board_block(facts, found, busy), end="")
     return 0
 
 
 def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) -> bool:
     """Print the settings for a budget; if no profile keeps it, print that and return False."""
-    block = budget.settings_block(found, budget_ms)
+    block = report.settings_block(found, budget_ms)
     if block is None:
-        print(f"tacshade-edge: {budget.over_budget(found, budget_ms)}", file=sys.stderr)
+        print(f"tacshade-edge: {report.over_budget(found, budget_ms)}", file=sys.stderr)
         return False
     print(f"\n{block}", file=sys.stderr if aside else sys.stdout)
     return True

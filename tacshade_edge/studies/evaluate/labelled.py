@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from tacshade_edge.reasons import code_of
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, without_nan
 from tacshade_edge.types import F64, Reconstruction
 
 COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
@@ -21,56 +21,30 @@ PAIRS = {"tilt": ("tilt_x_deg", "tilt_y_deg"), "shear": ("shear_x_mm", "shear_y_
 
 @dataclass(frozen=True, slots=True)
 class FoundRow:
-    """The result of one profile on one frame; a value that was not found is NaN.
-
-    Attributes
-    ----------
-    image, profile : str
-    refused : str
-        Code of the reason; empty for a usable frame.
-    contact, saturated, degraded : bool
-    depth_mm : float
-        Greatest h; 0 without contact.
-    volume_mm3 : float
-    tilt_x_deg, tilt_y_deg : float
-        Tilt of the normal of the largest object.
-    shear_x_mm, shear_y_mm : float
-        Mean shear over all contact cells.
-    """
+    """The result of one profile on one frame; a value that was not found is NaN."""
 
     image: str
     profile: str
-    refused: str
+    refused: str  # code of the reason; empty for a usable frame
     contact: bool
     saturated: bool
     degraded: bool
-    depth_mm: float
+    depth_mm: float  # greatest h; 0 without contact
     volume_mm3: float
-    tilt_x_deg: float
+    tilt_x_deg: float  # of the normal of the largest object
     tilt_y_deg: float
-    shear_x_mm: float
+    shear_x_mm: float  # mean over all contact cells
     shear_y_mm: float
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How well one found quantity follows a known one, over frames that were not refused.
-
-    Attributes
-    ----------
-    quantity : str
-    frames : int
-        Number of scored frames; for a pair of axes, those that its map was not fitted on.
-    rank_correlation : float
-        Spearman's rank correlation; for a pair, the mean of both axes.
-    error : float
-        Mean absolute error of a line (for a pair, a linear map) fitted on the other half.
-    """
+    """How well one found quantity follows a known one, over frames that were not refused."""
 
     quantity: str
-    frames: int
-    rank_correlation: float
-    error: float
+    frames: int  # for a pair of axes, those that its map was not fitted on
+    rank_correlation: float  # Spearman's; for a pair, the mean of both axes
+    error: float  # mean absolute error of a line (for a pair, a linear map) fitted on the other half
 
 
 def found_row(image: str, result: Reconstruction) -> FoundRow:
@@ -116,21 +90,16 @@ def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -
 
 def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> str:
     """Tables for people: how many frames were refused, and how well the rest agree."""
-    by_profile: dict[str, list[FoundRow]] = {}
-    for row in rows:
-        by_profile.setdefault(row.profile, []).append(row)
     counts = [
-        (profile, *map(str, numbers))
-        for profile, some in by_profile.items()
-        for numbers in [
-            (
-                len(some),
-                sum(bool(row.refused) for row in some),
-                sum(not row.refused and not row.contact for row in some),
-                sum(row.saturated for row in some),
-                sum(row.degraded for row in some),
-            )
-        ]
+        (
+            profile,
+            str(len(some)),
+            str(sum(bool(row.refused) for row in some)),
+            str(sum(not row.refused and not row.contact for row in some)),
+            str(sum(row.saturated for row in some)),
+            str(sum(row.degraded for row in some)),
+        )
+        for profile, some in grouped(rows, "profile").items()
     ]
     figures = [
         (profile, each.quantity, str(each.frames), f"{each.rank_correlation:.2f}", f"{each.error:.2f}")
@@ -178,14 +147,34 @@ def spearman(one: F64, other: F64) -> float:
 
 
 def document(rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> dict[str, object]:
-    """The rows and agreements for JSON, with NaN as null."""
-    return {
-        "frames": [{k: _plain(v) for k, v in asdict(row).items()} for row in rows],
-        "agreements": {
-            name: [{k: _plain(v) for k, v in asdict(a).items()} for a in some] for name, some in made.items()
-        },
-    }
+    """The rows and agreements for JSON."""
+    agreements = {name: [asdict(each) for each in some] for name, some in made.items()}
+    found: dict[str, object] = without_nan({"frames": [asdict(row) for row in rows], "agreements": agreements})
+    return found
 
 
-def _plain(value: object) -> object:
-    return None if isinstance(value, float) and math.isnan(value) else value
+PANELS = (
+    ("depth_mm", "depth_mm", "depth, mm"),
+    ("volume_mm3", "depth_mm", "volume, mm³"),
+    ("tilt_x_deg", "tilt_x_deg", "tilt about x, °"),
+    ("tilt_y_deg", "tilt_y_deg", "tilt about y, °"),
+    ("shear_x_mm", "shear_x_mm", "shear along x, mm"),
+    ("shear_y_mm", "shear_y_mm", "shear along y, mm"),
+)
+
+
+def draw(rows: Mapping[str, Sequence[FoundRow]], known: Sequence[Mapping[str, float]]) -> bytes:
+    """Plot found against known values as a PNG, a panel for each quantity and a colour for each profile."""
+    figure, panels = new_figure(2, 3, 13, 8, dpi=90)
+    for axes, (found, true, title) in zip(panels.flat, PANELS, strict=True):
+        for profile, some in rows.items():
+            points = [
+                (labels[true], getattr(row, found))
+                for row, labels in zip(some, known, strict=True)
+                if not row.refused and true in labels
+            ]
+            if points:
+                axes.plot(*np.array(points).T, ".", markersize=3, alpha=0.5, label=profile)
+        axes.set(title=title, xlabel=f"known: {true}", ylabel=f"found: {found}")
+    figure.axes[0].legend(frameon=False, loc="upper left")
+    return png(figure)

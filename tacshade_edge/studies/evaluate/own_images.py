@@ -17,7 +17,7 @@ from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.images import SUFFIXES, read_image
-from tacshade_edge.studies.cases import Case
+from tacshade_edge.studies.evaluate.scenes import Case
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Timing
@@ -40,27 +40,12 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
-    """Read an image's ground truth: the keys that ``tacshade-edge simulate`` writes.
+    """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the object's name.
 
-    Parameters
-    ----------
-    path : Path
-        ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three; by default, ``row0``,
-        ``col0``, ``step_px`` are 0, 0, 1 and ``depth_max_mm`` is the greatest height.
-    image_size_px : (int, int)
-        Height and width.
-    geometry : Geometry
-        Converts a height map to points if none are given.
-
-    Returns
-    -------
-    (KnownTruth, str)
-        The ground truth and the object's name; if not given, the file's.
-
-    Raises
-    ------
-    DecodeError
-        The file is missing, damaged, or has other keys or another size.
+    These are ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three. By default, ``row0``,
+    ``col0``, ``step_px`` are 0, 0, 1, ``depth_max_mm`` is the greatest height, and the name is the file's. The geometry
+    converts heights to points if none are given. Raises DecodeError if the file is missing, damaged, or has other keys
+    or another size than the image (height, width).
     """
     content = _content(path)
     contact = height = None

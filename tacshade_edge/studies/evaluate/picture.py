@@ -18,9 +18,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.evaluate.scenes import scenes
-from tacshade_edge.studies.evaluate.score import KnownTruth
+from tacshade_edge.studies.evaluate.score import CloudScore, KnownTruth, score_cloud
 from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
-from tacshade_edge.studies.metrics import CloudScore, score_cloud
 from tacshade_edge.types import F32, F64, U8, Calibration, Disc, Frame, Reconstruction
 
 if TYPE_CHECKING:
@@ -67,29 +66,15 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
 
 
 def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: int = 100) -> bytes:
-    """Draw Fig. 6 as a PNG.
-
-    Raises
-    ------
-    ImportError
-        A package for drawing is not installed.
-    """
+    """Draw Fig. 6 as a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     count = len(made)
     figure = Figure(figsize=(0.9 + 2.9 * count, 12.6), dpi=dpi, facecolor="white")
     canvas = FigureCanvasAgg(figure)
-    rows = figure.add_gridspec(
-        6,
-        1,
-        left=0.055,
-        right=0.945,
-        top=0.945,
-        bottom=0.035,
-        hspace=0.09,
-        height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2),
-    )
+    margins = {"left": 0.055, "right": 0.945, "top": 0.945, "bottom": 0.035, "hspace": 0.09}
+    rows = figure.add_gridspec(6, 1, **margins, height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2))
     top_mm = max(max(float(np.nanmax(c.truth.height_mm)), float(np.nanmax(c.result.height.height_mm))) for c in made)
     bars = []
     for k, column in enumerate(made):
@@ -108,11 +93,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
         figure.text(0.022, (box.y0 + box.y1) / 2, text, rotation=90, ha="center", va="center", fontsize=12)
     _colour_bar(figure, bars[0], rows[2].get_position(figure), "grey levels")
     _colour_bar(figure, bars[1], rows[3].get_position(figure), "h (mm)")
-    figure.suptitle(
-        f"Profile {profile}, pressed {DEPTH_MM:g} mm deep",
-        fontsize=14,
-        y=0.985,
-    )
+    figure.suptitle(f"Profile {profile}, pressed {DEPTH_MM:g} mm deep", fontsize=14, y=0.985)
     return _png(canvas)
 
 
@@ -151,15 +132,8 @@ def _object_mesh(press: Press) -> tuple[F64, Any]:
     vertices, faces, _, _ = marching_cubes(inside, 0.0, spacing=(step, step, step))
     vertices = (vertices - (half, half, -up[0])) * press.scale
     a = np.radians(press.rotation_deg)
-    turned = np.stack(
-        (
-            np.cos(a) * vertices[:, 0] - np.sin(a) * vertices[:, 1],
-            np.sin(a) * vertices[:, 0] + np.cos(a) * vertices[:, 1],
-            vertices[:, 2],
-        ),
-        axis=1,
-    )
-    return turned, faces
+    turn = np.array(((np.cos(a), np.sin(a), 0), (-np.sin(a), np.cos(a), 0), (0, 0, 1)))
+    return vertices @ turn, faces
 
 
 def _crop(values: Any, disc: Disc, grid: tuple[float, float, float]) -> Any:
@@ -181,9 +155,8 @@ def _grey_maps(figure: Figure, cell: Any, column: Column) -> Any:
     pair = ((maps.g0, "$g_0$"), (maps.g, "$g$"), (maps.g_d + np.float32(127.5), "$g_d$ + 127"))
     for k, (values, name) in enumerate(pair):
         axes = figure.add_subplot(cell.subgridspec(1, 3, wspace=0.05)[k])
-        shown = axes.imshow(
-            np.where(maps.inside, values, np.nan), cmap="gray", vmin=0, vmax=255, interpolation="antialiased"
-        )
+        grey = np.where(maps.inside, values, np.nan)
+        shown = axes.imshow(grey, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
         axes.set_title(name, fontsize=9, pad=2)
         axes.set_axis_off()
     return shown
@@ -239,20 +212,15 @@ def _clouds(axes: Any, column: Column) -> None:
     low, high = both.min(axis=0), both.max(axis=0)
     half = 0.5 * max(float((high - low)[:2].max()), 4.0)
     middle = 0.5 * (low + high)
-    _bounds(
-        axes,
-        (middle[0] - half, middle[0] + half),
-        (middle[1] - half, middle[1] + half),
-        (float(low[2]) - 0.3, float(high[2]) + 0.3),
-        grow=1.12,
-    )
+    x, y = ((middle[k] - half, middle[k] + half) for k in (0, 1))
+    _bounds(axes, x, y, (float(low[2]) - 0.3, float(high[2]) + 0.3), grow=1.12)
     axes.view_init(elev=30, azim=-60)
     axes.tick_params(labelsize=6, pad=-3)
     axes.locator_params(nbins=4)
     axes.locator_params(axis="z", nbins=3)
     axes.legend(loc="upper left", fontsize=8, markerscale=4, frameon=False, handletextpad=0.1, borderpad=0)
     text = "no contact found"
-    if column.score.points:
+    if len(found):
         text = f"ME {column.score.me_mm:.2f} mm, SD {100 * column.score.sd:.0f} %"
     axes.text2D(0.5, -0.05, text, transform=axes.transAxes, ha="center", fontsize=10)
 

@@ -1,27 +1,117 @@
-"""Format an evaluation for people (tables) and programs (CSV, JSON)."""
+"""Summarise the rows of an evaluation to the quoted figures; format them for people (tables) and programs (JSON)."""
 
 from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from importlib.metadata import version
 from typing import Any
+
+import numpy as np
 
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.summary import (
-    TABLE_I,
-    Figures,
-    beats_table_i,
-    by_object,
-    figures,
-    null_figures,
-    worst,
-)
 from tacshade_edge.studies.evaluate.work import Timing
+
+TABLE_I = {
+    "cube": (0.9120, 78.63),
+    "small_crescent": (0.5008, 85.33),
+    "ball": (0.1039, 96.02),
+    "large_crescent": (0.7849, 77.84),
+    "cylinder": (0.8934, 72.49),
+}
+"""The paper's ME in mm and SD in %, measured on a real sensor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Means over presses, NaN if nothing is known; depth errors are the mean and the greatest absolute error.
+
+    A missed contact (an empty cloud) counts as undeformed skin: SD is 0, and ME and the backward distance are the true
+    depth.
+    """
+
+    presses: int
+    missed: int
+    me_mm: float
+    backward_mm: float
+    sd_pct: float
+    sd_sum_pct: float
+    iou: float
+    depth_error_pct: float
+    depth_error_worst_pct: float
+
+
+@dataclass(frozen=True, slots=True)
+class NullFigures:
+    """Figures of the frames without contact: phantoms, the greatest depth of one, and refused frames."""
+
+    frames: int
+    phantoms: int
+    deepest_mm: float
+    refused: int
+
+
+def figures(rows: Iterable[Row]) -> Figures:
+    """Means over the rows with a true contact."""
+    some = [r for r in rows if r.true_points]
+    off = np.array([abs(r.depth_error_pct) for r in some])
+    missed = [math.isnan(r.me_mm) for r in some]
+    return Figures(
+        presses=len(some),
+        missed=sum(missed),
+        me_mm=_mean(r.true_depth_mm if m else r.me_mm for r, m in zip(some, missed, strict=True)),
+        backward_mm=_mean(r.true_depth_mm if m else r.backward_mm for r, m in zip(some, missed, strict=True)),
+        sd_pct=_mean(r.sd_pct for r in some),
+        sd_sum_pct=_mean(r.sd_sum_pct for r in some),
+        iou=_mean(r.iou for r in some if not math.isnan(r.iou)),
+        depth_error_pct=_mean(off),
+        depth_error_worst_pct=float(off.max()) if some else math.nan,
+    )
+
+
+def by_object(rows: Iterable[Row]) -> dict[str, Figures]:
+    """Figures of each object, in the order of the rows."""
+    return {name: figures(some) for name, some in tables.grouped((r for r in rows if r.true_points), "object").items()}
+
+
+def worst(objects: Sequence[Figures]) -> Figures:
+    """The worst object's mean of each measure: the greatest error, the smallest SD and IoU."""
+    chosen: dict[str, float] = {}
+    for field in fields(Figures):
+        values = [v for each in objects if not math.isnan(v := getattr(each, field.name))]
+        pick = min if field.name in ("presses", "sd_pct", "sd_sum_pct", "iou") else max
+        chosen[field.name] = pick(values) if values else math.nan
+    return Figures(**chosen)  # type: ignore[arg-type]  # presses and missed stay whole numbers
+
+
+def null_figures(rows: Iterable[Row]) -> NullFigures:
+    """Count phantoms over rows without true contact."""
+    some = [r for r in rows if not r.true_points]
+    return NullFigures(
+        frames=len(some),
+        phantoms=sum(r.contact for r in some),
+        deepest_mm=max((r.found_depth_mm for r in some), default=0.0),
+        refused=sum(not r.valid for r in some),
+    )
+
+
+def beats_table_i(objects: dict[str, Figures]) -> tuple[int, int]:
+    """The number of Table I's objects on which both measures beat the paper's, and the number that were evaluated."""
+    known = [name for name in PAPER_OBJECTS if name in objects]
+    better = [
+        name for name in known if objects[name].me_mm < TABLE_I[name][0] and objects[name].sd_pct > TABLE_I[name][1]
+    ]
+    return len(better), len(known)
+
+
+def _mean(values: Iterable[float]) -> float:
+    some = list(values)
+    return float(np.mean(some)) if some else math.nan
+
 
 PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "onnxruntime", "scipy")
 MEASURES = ("ME mm", "back mm", "SD %", "SD sum %", "IoU", "depth off %", "worst %", "missed")
@@ -30,15 +120,12 @@ PAPER_ROW = "Table I (real sensor)"
 
 def table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
     """Markdown tables, readable as plain text too: objects, sensors and profiles, separately for each family."""
-    families = list(dict.fromkeys(_family(r) for r in rows))
+    families: dict[str, list[Row]] = {}
+    for row in rows:
+        families.setdefault(row.sensor.rpartition(":")[0] or "tacshade", []).append(row)
     if len(families) < 2:
         return _family_table(rows, timings)
-    parts = ((family, _family_table([r for r in rows if _family(r) == family], timings)) for family in families)
-    return "\n\n".join(f"Family {family}\n\n{text}" for family, text in parts)
-
-
-def _family(row: Row) -> str:
-    return row.sensor.rpartition(":")[0] or "tacshade"
+    return "\n\n".join(f"Family {family}\n\n{_family_table(some, timings)}" for family, some in families.items())
 
 
 def _family_table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
@@ -64,9 +151,13 @@ def _objects_table(title: str, rows: Sequence[Row], profiles: Sequence[str], nam
             lines.append([name, PAPER_ROW, *_paper_cells(*paper[name])])
         lines += [[name, p, *_cells(found[name])] for p, found in per_profile.items()]
     if len(names) > 1:
-        for title_of_row, pick in (("mean", _mean_of_paper), ("worst object", _worst_of_paper)):
+        paper_mean = [sum(values) / len(values) for values in zip(*paper.values(), strict=True)]
+        paper_worst = [
+            pick(values) for pick, values in zip((max, min), zip(*paper.values(), strict=True), strict=False)
+        ]
+        for title_of_row, of_paper in (("mean", paper_mean), ("worst object", paper_worst)):
             if len(paper) == len(names):
-                lines.append([title_of_row, PAPER_ROW, *_paper_cells(*pick(list(paper.values())))])
+                lines.append([title_of_row, PAPER_ROW, *_paper_cells(*of_paper)])
             for p, found in per_profile.items():
                 some = [r for r in rows if r.profile == p and r.object in names]
                 total = figures(some) if title_of_row == "mean" else worst(list(found.values()))
@@ -75,11 +166,11 @@ def _objects_table(title: str, rows: Sequence[Row], profiles: Sequence[str], nam
 
 
 def _sensors_table(rows: Sequence[Row], profiles: Sequence[str]) -> str:
-    lines = []
-    for sensor in dict.fromkeys(r.sensor for r in rows):
-        for profile in profiles:
-            some = [r for r in rows if r.sensor == sensor and r.profile == profile]
-            lines.append([sensor, profile, *_cells(figures(some))])
+    lines = [
+        [sensor, profile, *_cells(figures(r for r in of_sensor if r.profile == profile))]
+        for sensor, of_sensor in tables.grouped(rows, "sensor").items()
+        for profile in profiles
+    ]
     return "Each sensor, all objects\n\n" + tables.markdown(["sensor", "method", *MEASURES], lines)
 
 
@@ -92,17 +183,10 @@ def _profiles_table(rows: Sequence[Row], profiles: Sequence[str], timings: Mappi
         some = [r for r in rows if r.profile == profile]
         better, known = beats_table_i(by_object(some))
         nothing = null_figures(some)
-        lines.append(
-            [
-                profile,
-                f"{better} of {known}" if known else "",
-                str(nothing.frames),
-                str(nothing.phantoms),
-                f"{nothing.deepest_mm:.2f}",
-                str(nothing.refused),
-                f"{timings[profile].p50_ms:.1f}" if profile in timings else "",
-            ]
-        )
+        beats = f"{better} of {known}" if known else ""
+        p50 = f"{timings[profile].p50_ms:.1f}" if profile in timings else ""
+        counts = (str(nothing.frames), str(nothing.phantoms), f"{nothing.deepest_mm:.2f}", str(nothing.refused))
+        lines.append([profile, beats, *counts, p50])
     return "Profiles\n\n" + tables.markdown(header, lines)
 
 
@@ -116,26 +200,17 @@ def _cells(found: Figures) -> list[str]:
         (found.depth_error_pct, ".0f"),
         (found.depth_error_worst_pct, ".0f"),
     )
-    return [*("" if math.isnan(v) else format(v, spec) for v, spec in values), f"{found.missed}/{found.presses}"]
+    return [*(tables.number(v, spec) for v, spec in values), f"{found.missed}/{found.presses}"]
 
 
 def _paper_cells(me_mm: float, sd_pct: float) -> list[str]:
     return [f"{me_mm:.3f}", "", f"{sd_pct:.1f}", "", "", "", "", ""]
 
 
-def _mean_of_paper(known: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    return sum(me for me, _ in known) / len(known), sum(sd for _, sd in known) / len(known)
-
-
-def _worst_of_paper(known: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    return max(me for me, _ in known), min(sd for _, sd in known)
-
-
 def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]) -> dict[str, Any]:
     """Everything except the rows, for JSON: settings, versions, Table I, and the summary of each profile."""
     summaries = {}
-    for profile in dict.fromkeys(r.profile for r in rows):
-        some = [r for r in rows if r.profile == profile]
+    for profile, some in tables.grouped(rows, "profile").items():
         objects = by_object(some)
         paper = {k: v for k, v in objects.items() if k in PAPER_OBJECTS}
         better, known = beats_table_i(objects)
@@ -143,12 +218,12 @@ def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mappi
             "paper_objects": _pair(some, paper),
             "other_objects": _pair(some, {k: v for k, v in objects.items() if k not in PAPER_OBJECTS}),
             "objects": {name: asdict(found) for name, found in objects.items()},
-            "sensors": {s: asdict(figures(r for r in some if r.sensor == s)) for s in {r.sensor: 0 for r in some}},
+            "sensors": {s: asdict(figures(of)) for s, of in tables.grouped(some, "sensor").items()},
             "without_contact": asdict(null_figures(some)),
             "beats_table_i": {"objects": better, "of": known},
             **({"timing": asdict(timings[profile])} if profile in timings else {}),
         }
-    made: dict[str, Any] = without_nan(
+    made: dict[str, Any] = tables.without_nan(
         {
             "settings": dict(settings),
             "versions": versions(),
@@ -169,12 +244,3 @@ def _pair(rows: Sequence[Row], objects: Mapping[str, Figures]) -> dict[str, Any]
         return None
     mean = figures(r for r in rows if r.object in objects)
     return {"mean": asdict(mean), "worst": asdict(worst(list(objects.values())))}
-
-
-def without_nan(value: Any) -> Any:
-    """Replace NaN by None, because JSON lacks NaN."""
-    if isinstance(value, dict):
-        return {key: without_nan(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(v) for v in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,9 +1,9 @@
-"""The presses of Experiment 1, and frames without contact."""
+"""The images of Experiment 1 with their ground truth: presses, and frames without contact."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,8 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.studies.evaluate.sensors import NULL_NOISE, SCENE_NOISE, PressedSensor
+from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label
+from tacshade_edge.studies.evaluate.sensors import NULL_NOISE, SCENE_NOISE, PressedSensor, SensorName
 from tacshade_edge.types import U8
 
 DEPTHS_MM = (1.5, 3.0, 4.5)
@@ -55,11 +56,9 @@ def scenes(
 
 
 def null_images(sensor: PressedSensor, count: int = NULL_FRAMES) -> list[tuple[str, U8]]:
-    """Frames without contact, as from a sensor in use: in turn unchanged, in other light, shifted by a pixel.
+    """Frames without contact, as from a sensor in use, each with the name of the change made to it.
 
-    Returns
-    -------
-    list of (name of the change, image)
+    In turn, they are unchanged, in other light, and shifted by a pixel.
     """
     nuisances: list[tuple[str, Callable[[U8], U8]]] = [
         ("", lambda image: image),
@@ -73,3 +72,32 @@ def null_images(sensor: PressedSensor, count: int = NULL_FRAMES) -> list[tuple[s
         what, change = nuisances[k % len(nuisances)]
         made.append((what, change(sensor.frame((), NULL_NOISE + k).image)))
     return made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """An image (uint8, H x W or H x W x 3) with its label and ground truth."""
+
+    label: Label
+    truth: KnownTruth
+    image: U8
+
+    @property
+    def touched(self) -> bool:
+        """Whether anything truly touches."""
+        return len(self.truth.points_mm) > 0
+
+
+def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]) -> Iterator[Case]:
+    """Yield a picture of each scene with its ground truth."""
+    for scene in scenes:
+        press, frame = scene.press, sensor.frame((scene.press,), scene.noise_seed)
+        label = Label(str(name), scene.object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
+        yield Case(label, KnownTruth.of(frame.truth()), frame.image)
+
+
+def null_cases(name: SensorName, sensor: PressedSensor, count: int) -> Iterator[Case]:
+    """Yield pictures of the untouched skin (`null_images`)."""
+    nothing = KnownTruth(NOTHING, 0.0, None)
+    for what, image in null_images(sensor, count):
+        yield Case(Label(str(name), "none", what), nothing, image)

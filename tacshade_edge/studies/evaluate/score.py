@@ -1,4 +1,4 @@
-"""Score a reconstruction against its ground truth: eqs. 13 and 14, the outline, the depth."""
+"""Score a reconstruction against its ground truth: eqs. 13 and 14 of the paper, the outline, the depth."""
 
 from __future__ import annotations
 
@@ -9,30 +9,47 @@ import numpy as np
 
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.truth import Truth
-from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, freeze
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
 """The points of an untouched skin."""
 
 
+@dataclass(frozen=True, slots=True)
+class CloudScore:
+    """The agreement of a reconstructed cloud with the true one; for an empty cloud, SD is 0 and distances are NaN."""
+
+    me_mm: float  # eq. 13, the mean distance from reconstructed points to the nearest true point
+    sd: float  # eq. 14 with half the sum of both mean distances (unsquared), not clamped at 0
+    sd_sum: float  # eq. 14 with the whole sum
+    backward_mm: float  # the mean distance from true points to the nearest reconstructed point
+
+
+def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudScore:
+    """Compute ME and SD of a cloud (N, 3), given the true points (M, 3; M > 0) and the true maximum of h."""
+    from scipy.spatial import cKDTree  # scoring is not on the daemon's path
+
+    if not len(points_mm):
+        return CloudScore(math.nan, 0.0, 0.0, math.nan)
+    forward = float(cKDTree(true_points_mm).query(points_mm)[0].mean())
+    backward = float(cKDTree(points_mm).query(true_points_mm)[0].mean())
+    return CloudScore(forward, 1 - (forward + backward) / 2 / h_max_mm, 1 - (forward + backward) / h_max_mm, backward)
+
+
+def contact_iou(found: Bool, true: Bool) -> float:
+    """Intersection over union of two contact maps; 1 when both are empty."""
+    union = np.count_nonzero(found | true)
+    return 1.0 if union == 0 else np.count_nonzero(found & true) / union
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownTruth:
-    """The ground truth of a frame.
+    """The ground truth of a frame: skin points in contact, the greatest h over the disc, and the contact if known.
 
-    Attributes
-    ----------
-    points_mm : float32 (N, 3)
-        Skin points in contact, in the sensor frame; N = 0 if nothing touches.
-    depth_max_mm : float
-        Greatest true h over the disc.
-    contact : bool (rows, cols) or None
-        Cells in contact, on a grid of the image; None if unknown.
-    row0, col0, step_px : float
-        Cell (i, j) of `contact` is pixel (row0 + i·step_px, col0 + j·step_px).
+    Cell (i, j) of `contact` is pixel (row0 + i·step_px, col0 + j·step_px).
     """
 
-    points_mm: F32
+    points_mm: F32  # (N, 3) in the sensor frame; N = 0 if nothing touches
     depth_max_mm: float
     contact: Bool | None
     row0: float = 0.0
@@ -64,21 +81,10 @@ class KnownTruth:
 
 
 def between_pixels(points_mm: F32, contact: Bool) -> F32:
-    """Add the midpoints between neighbouring pixels' points.
+    """Add the midpoints between neighbouring pixels' points, which are in the order of the pixels of `contact`.
 
     Without them, a found point between pixels would have an error of up to half a pixel. Across a steep step, over
-    three times the usual distance, no midpoint is added.
-
-    Parameters
-    ----------
-    points_mm : float32 (N, 3)
-        Points of the pixels of `contact`, in their order.
-    contact : bool (H, W)
-
-    Returns
-    -------
-    float32 (M, 3)
-        The given points first.
+    three times the usual distance, no midpoint is added. The given points come first.
     """
     at = np.full((*contact.shape, 3), np.nan, np.float32)
     at[contact] = points_mm
@@ -93,28 +99,23 @@ def between_pixels(points_mm: F32, contact: Bool) -> F32:
 
 
 @dataclass(frozen=True, slots=True)
+class Label:
+    """The columns of a row that identify its frame; `object` is ``none`` for a frame without contact."""
+
+    sensor: str
+    object: str
+    image: str = ""  # the user's image; for a simulated frame without contact, the change made to it
+    depth_mm: float = math.nan  # the stated press
+    x_mm: float = math.nan
+    y_mm: float = math.nan
+    rotation_deg: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class Row:
     """The scores of one profile on one frame; each attribute is a column of evaluation.csv, empty if NaN.
 
-    Attributes
-    ----------
-    profile, sensor, object : str
-        `object` is ``none`` for a frame without contact.
-    image : str
-        The user's image; for a simulated frame without contact, the change made to it.
-    depth_mm, x_mm, y_mm, rotation_deg : float
-        The stated press; NaN if there is none.
-    valid, contact, saturated : bool
-        As reconstructed.
-    true_depth_mm, found_depth_mm, depth_error_pct : float
-        Greatest h, and its relative error (NaN without true contact).
-    me_mm, sd_pct, sd_sum_pct, backward_mm : float
-        Eqs. 13 and 14 (`studies.metrics.CloudScore`); ME is the forward distance. NaN without true contact; ME and
-        backward distance are also NaN for a missed contact.
-    iou : float
-    points, true_points, objects, repaired_px : int
-    degraded : str
-        Why the reconstruction is invalid or degraded.
+    Without true contact, errors are NaN; for a missed contact, ME and the backward distance are.
     """
 
     profile: str
@@ -140,28 +141,14 @@ class Row:
     true_points: int
     objects: int
     repaired_px: int
-    degraded: str
-
-
-@dataclass(frozen=True, slots=True)
-class Label:
-    """The columns of a row that identify its frame."""
-
-    sensor: str
-    object: str
-    image: str = ""
-    depth_mm: float = math.nan
-    x_mm: float = math.nan
-    y_mm: float = math.nan
-    rotation_deg: float = math.nan
+    degraded: str  # why the reconstruction is invalid or degraded
 
 
 def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
     """Compare a reconstruction with its frame's ground truth."""
-    touched = len(truth.points_mm) > 0
+    touched, nan = len(truth.points_mm) > 0, math.nan
     cloud = score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm) if touched else None
     contact = truth.contact_on(result.height)
-    nan = math.nan
     return Row(
         profile=result.profile,
         **asdict(label),

@@ -16,6 +16,7 @@ from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration
 
 REFERENCES, PRESSES = 8, 40
@@ -86,10 +87,7 @@ def _in_family(family: str, seed: int | None, make: Callable[[int | None], Press
 def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:
     """Calibrate on references and known ball presses, using nothing of the model beyond its SENSOR.yaml.
 
-    Raises
-    ------
-    ConfigError
-        The sensor cannot be calibrated; the message names it.
+    Raises ConfigError, which names the sensor, if it cannot be calibrated.
     """
     try:
         return calibrated_sensor(name.make(), name.seed or 0, references, presses)
@@ -107,6 +105,18 @@ def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses
         for k, (p, radius) in enumerate(ball_presses(model, presses, seed))
     ]
     return calibrate(stated, unloaded, pressed, networks=load_networks())
+
+
+def calibrate_sensors(
+    sensors: Sequence[SensorName], references: int, presses: int, workers: Workers, report: Report
+) -> list[CalibrationResult]:
+    """Calibrate every sensor. Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed)."""
+    tasks = [(name, references, presses) for name in sensors]
+    return list(reported_map(_calibrated, tasks, workers, report, "sensors calibrated"))
+
+
+def _calibrated(task: tuple[SensorName, int, int]) -> CalibrationResult:
+    return calibrated(*task)
 
 
 def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:

@@ -10,10 +10,9 @@ import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.studies.cases import calibrate_sensors, null_cases, press_cases
-from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, scenes
+from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_cases, press_cases, scenes
 from tacshade_edge.studies.evaluate.score import Row, score
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import Calibration, Frame
@@ -24,19 +23,7 @@ TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The plan of an evaluation; equal plans give equal rows.
-
-    Attributes
-    ----------
-    sensors : tuple of SensorName
-    profiles, objects : tuple of str
-        Keys of `PROFILES` and `OBJECTS`.
-    references, presses : int
-        Number of images for calibrating each sensor.
-    depths_mm : tuple of float
-    null_frames : int
-        Number of frames without contact for each sensor.
-    """
+    """The plan of an evaluation, with numbers of images for each sensor; equal plans give equal rows."""
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
@@ -64,15 +51,7 @@ class Timing:
 
 
 def evaluate(plan: Plan, workers: Workers, report: Report) -> Evaluation:
-    """Run a plan.
-
-    Raises
-    ------
-    ConfigError
-        A sensor cannot be calibrated.
-    DeviceError
-        A worker process was killed.
-    """
+    """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
     found = tuple(calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report))
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what) for each in known for what in (*plan.objects, None)]

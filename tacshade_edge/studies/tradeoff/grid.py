@@ -10,20 +10,26 @@ from typing import Any
 import numpy as np
 
 from tacshade_edge.core.contact.objects import Objects, find_objects, objects_in
-from tacshade_edge.core.depth import MakeSolver
-from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, hybrid_depth
+from tacshade_edge.core.depth import Depth, MakeSolver
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, finite_shape_grey, hybrid_depth, scaled
 from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, chambolle
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.studies.scaled_grey import scaled_grey
 from tacshade_edge.types import F32, Bool, Calibration, Geometry
 
 
 def chambolle_float64(image: F32, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
     """`chambolle` in float64."""
     return chambolle(image.astype(np.float64), weight, iterations).astype(np.float32)
+
+
+def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
+    """The depth α g_hn, in place of `hybrid_sfs.hybrid_depth`: the starting point of the iterations of eq. 11."""
+    g_hn, bad = finite_shape_grey(maps)
+    return scaled(g_hn.astype(np.float64), alpha_mm, bad)
 
 
 DENOISERS: Mapping[str, Callable[[F32, float, int], F32]] = {
@@ -70,27 +76,13 @@ _AROUND_PAPER: tuple[dict[str, Any], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A way to reconstruct.
+    """A way to reconstruct."""
 
-    Attributes
-    ----------
-    profile : Profile
-        A shipped profile or a variation, which keeps the name, network and factor of the shipped one.
-    whole_disc : bool
-        Whether to search for objects everywhere instead of in the bounding box of the contact.
-    scaled_grey : bool
-        Whether to use the paper's method without eq. 11.
-    tv_iterations : int
-        Most iterations of the denoising.
-    tv_precision : str
-        Key of `DENOISERS`.
-    """
-
-    profile: Profile
-    whole_disc: bool = False
-    scaled_grey: bool = False
+    profile: Profile  # a shipped one, or a variation with its name, network and factor
+    whole_disc: bool = False  # search for objects everywhere instead of in the bounding box of the contact
+    scaled_grey: bool = False  # the paper's method without eq. 11
     tv_iterations: int = ITERATIONS_MAX
-    tv_precision: str = "float32"
+    tv_precision: str = "float32"  # key of `DENOISERS`
 
     @property
     def shipped(self) -> bool:

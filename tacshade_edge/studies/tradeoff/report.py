@@ -1,17 +1,18 @@
-"""Format the points for people (Markdown) and programs (CSV, JSON)."""
+"""Format the points for people (Markdown, a plot), programs (CSV, JSON), settings files and the list of boards."""
 
 from __future__ import annotations
 
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.studies import tables
-from tacshade_edge.studies.evaluate.report import versions, without_nan
+from tacshade_edge.studies.evaluate.report import versions
 from tacshade_edge.studies.parallel import usable_cores
-from tacshade_edge.studies.tradeoff.summary import Estimate, Point
+from tacshade_edge.studies.tradeoff.measure import Estimate, Point
 
 _HEADER = (
     "method", "what", "ME mm", "SD %", "IoU", "depth off %", "p50 ms", "p99 ms", "fps", "idle ms", "MiB", "missed",
@@ -31,12 +32,12 @@ def _settings(points: Sequence[Point]) -> str:
             *_name(p),
             _with_interval(p.me_mm, ".3f"),
             _with_interval(p.sd_pct, ".1f"),
-            _number(p.iou.value, ".2f"),
+            tables.number(p.iou.value, ".2f"),
             _with_interval(p.depth_off_pct, ".0f"),
             _with_interval(p.p50_ms, ".2f"),
-            _number(p.p99_ms.value, ".2f"),
-            _number(p.fps, ".0f"),
-            _number(p.idle_p50_ms, ".2f"),
+            tables.number(p.p99_ms.value, ".2f"),
+            tables.number(p.fps, ".0f"),
+            tables.number(p.idle_p50_ms, ".2f"),
             f"{p.peak_mib:.1f}",
             f"{p.missed}/{p.presses}",
             f"{p.phantoms}/{p.untouched}",
@@ -59,13 +60,9 @@ def _name(point: Point) -> list[str]:
     return [point.setting.profile.name, point.setting.varied or "**as shipped**"]
 
 
-def _number(value: float, spec: str) -> str:
-    return "" if math.isnan(value) else format(value, spec)
-
-
 def _with_interval(estimate: Estimate, spec: str) -> str:
     if math.isnan(estimate.low):
-        return _number(estimate.value, spec)
+        return tables.number(estimate.value, spec)
     return f"{estimate.value:{spec}} ({estimate.low:{spec}} to {estimate.high:{spec}})"
 
 
@@ -103,7 +100,162 @@ def csv_text(points: Sequence[Point]) -> str:
 def document(points: Sequence[Point], data: Mapping[str, Any], busy: float) -> dict[str, Any]:
     """All points for JSON, with their data, machine, versions and how busy the machine was."""
     machine = {"machine": platform.machine(), "system": platform.platform(), "cores": usable_cores(), "busy": busy}
-    found: dict[str, Any] = without_nan(
+    found: dict[str, Any] = tables.without_nan(
         {"data": dict(data), "board": machine, "versions": versions(), "points": [record(p) for p in points]}
     )
     return found
+
+
+PROFILES = ("fast", "balanced", "accurate")
+HEADER = ("board", "processor", "system", "version", *PROFILES, "untouched", "MiB", "busy")
+
+
+def board_block(facts: Mapping[str, str], points: Sequence[Point], busy: float) -> str:
+    """The Markdown block of a board: its row of docs/reference/boards.md, and its facts (`doctor.board_facts`).
+
+    `points` are those of the shipped profiles, and `busy` is elapsed time over this command's processor time.
+    """
+    beside = [f"- {name}: {text}" for name, text in facts.items()]
+    rule = "|".join(["---"] * len(HEADER))
+    table = [f"| {' | '.join(HEADER)} |", f"|{rule}|", board_row(facts, points, busy)]
+    return "\n".join([*table, "", *beside, ""])
+
+
+def board_row(facts: Mapping[str, str], points: Sequence[Point], busy: float) -> str:
+    """The board as a row under `HEADER`."""
+    found = {point.setting.profile.name: point for point in points if point.setting.shipped}
+    times = [_times(found.get(name)) for name in PROFILES]
+    cores = facts["cores"].partition(",")[0]
+    processor = f"{facts.get('processor', 'unknown')}, {cores} cores"
+    some = [found[name] for name in PROFILES if name in found]
+    quiet = [point.idle_p50_ms for point in some if not math.isnan(point.idle_p50_ms)]
+    cells = [facts["board"], processor, facts.get("system", "unknown"), facts["tacshade-edge"], *times]
+    cells.append(f"{min(quiet):.2f} to {max(quiet):.2f}" if quiet else "")
+    cells.append(f"{max(point.peak_mib for point in some):.0f}" if some else "")
+    return f"| {' | '.join([*cells, f'{busy:.1f}'])} |"
+
+
+def _times(point: Point | None) -> str:
+    return "" if point is None or not point.timed else f"{point.p50_ms.value:.2f} / {point.p99_ms.value:.2f}"
+
+
+def best_within(points: Sequence[Point], budget_ms: float) -> Point | None:
+    """The point with the least ME among those with a p99 within the budget; None if there is none."""
+    return min((p for p in points if p.p99_ms.value <= budget_ms), key=lambda p: p.me_mm.value, default=None)
+
+
+def settings_block(points: Sequence[Point], budget_ms: float) -> str | None:
+    """YAML for a settings file, with the reason in comments; None if no shipped profile keeps the budget."""
+    chosen = best_within([p for p in points if p.setting.shipped], budget_ms)
+    if chosen is None:
+        return None
+    lines = [f"# The most accurate within {budget_ms:g} ms for 99 of 100 frames in contact: {_said(chosen)}."]
+    other = best_within(points, budget_ms)
+    if other is not None and other.me_mm.high < chosen.me_mm.low:
+        lines.append(f"# Better, but not a shipped profile: {other.setting} ({_said(other)}).")
+    return "\n".join((*lines, f"profile: {chosen.setting.profile.name}"))
+
+
+def over_budget(points: Sequence[Point], budget_ms: float) -> str:
+    """The message that no shipped profile keeps the budget, and which comes closest."""
+    shipped = [p for p in points if p.setting.shipped and p.p99_ms.value > budget_ms]
+    if not shipped:
+        return f"no shipped profile was timed, so none can be chosen for {budget_ms:g} ms"
+    least = min(shipped, key=lambda p: p.p99_ms.value)
+    return (
+        f"no shipped profile stays within {budget_ms:g} ms for a frame in contact; the fastest, "
+        f"{least.setting.profile.name}, takes {least.p99_ms.value:.2f} ms (p99) here"
+    )
+
+
+def _said(point: Point) -> str:
+    return f"p99 {point.p99_ms.value:.2f} ms, p50 {point.p50_ms.value:.2f} ms, ME {point.me_mm.value:.3f} mm"
+
+
+NEAR = 1.5
+"""The second panel's limits as multiples of the slowest and the least accurate setting on the front."""
+
+_COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
+
+
+def draw(points: Sequence[Point], budget_ms: float | None) -> bytes:
+    """Plot ME against p50 as a PNG, with intervals, front, shipped profiles and budget: all, and around the front."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    figure, ((everything, around),) = tables.new_figure(1, 2, 13, 5.6)
+    known = [p for p in points if math.isfinite(p.me_mm.value) and math.isfinite(p.p50_ms.value)]
+    slowest_ms = max((p.p50_ms.value for p in known if p.front), default=math.inf)
+    worst_mm = max((p.me_mm.value for p in known if p.front), default=math.inf)
+    near = [p for p in known if p.p50_ms.value < NEAR * slowest_ms and p.me_mm.value < NEAR * worst_mm]
+    colours = dict(zip(dict.fromkeys(p.setting.profile.name for p in points), cycle(_COLOURS), strict=False))
+    for axes, some in ((everything, known), (around, near)):
+        _scatter(axes, some, colours, budget_ms, detailed=axes is around)
+    everything.set(xscale="log", yscale="log", title="all settings")
+    around.set(title="around the front")
+    around.set_xlim(left=0)
+    around.set_ylim(bottom=0)
+    for axis in (everything.xaxis, everything.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    figure.legend(*everything.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    return tables.png(figure)
+
+
+def _scatter(
+    axes: Any, points: Sequence[Point], colours: Mapping[str, str], budget_ms: float | None, *, detailed: bool
+) -> None:
+    for name, colour in colours.items():
+        mine = sorted((p for p in points if p.setting.profile.name == name), key=lambda p: p.p50_ms.value)
+        for point in mine:
+            _mark(axes, point, colour)
+        if detailed:
+            # Many points lie side by side, so their names go one below another.
+            for rank, point in enumerate(p for p in mine if p.front and p.setting.varied):
+                _annotate(axes, point, point.setting.varied, colour, (6, -20 - 10 * rank))
+        axes.plot([], [], "o", color=colour, label=f"{name} and what differs from it")
+    front = sorted((p.p50_ms.value, p.me_mm.value) for p in points if p.front)
+    if front:
+        axes.plot(*zip(*front, strict=True), color="#888888", linewidth=1.2, zorder=1, label="Pareto front")
+    axes.plot([], [], "D", color="#444444", markersize=9, label="shipped")
+    if budget_ms is not None:
+        axes.axvline(budget_ms, color="#888888", linewidth=1, linestyle=":", label=f"budget of {budget_ms:g} ms")
+    axes.set(xlabel="ms for a frame in contact, p50, one thread", ylabel="ME in mm, mean over presses")
+
+
+def _mark(axes: Any, point: Point, colour: str) -> None:
+    shipped = point.setting.shipped
+    axes.errorbar(
+        point.p50_ms.value,
+        point.me_mm.value,
+        xerr=_ends(point.p50_ms),
+        yerr=_ends(point.me_mm),
+        fmt="D" if shipped else "o",
+        markersize=10 if shipped else 5,
+        markeredgecolor="white" if shipped else colour,
+        color=colour,
+        alpha=1.0 if shipped else 0.65,
+        linewidth=0.8,
+        zorder=3 if shipped else 2,
+    )
+    if shipped:
+        _annotate(axes, point, point.setting.profile.name, colour, (8, 6))
+
+
+def _annotate(axes: Any, point: Point, text: str, colour: str, offset: tuple[int, int]) -> None:
+    large = point.setting.shipped
+    axes.annotate(
+        text,
+        (point.p50_ms.value, point.me_mm.value),
+        xytext=offset,
+        textcoords="offset points",
+        fontsize=10 if large else 7.5,
+        fontweight="bold" if large else "normal",
+        color=colour,
+    )
+
+
+def _ends(estimate: Estimate) -> list[list[float]] | None:
+    if math.isnan(estimate.low):
+        return None
+    return [[max(estimate.value - estimate.low, 0)], [max(estimate.high - estimate.value, 0)]]

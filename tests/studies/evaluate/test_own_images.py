@@ -8,9 +8,8 @@ import pytest
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in, read_images, read_truth
-from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.score import Row, contact_iou, score_cloud
 from tacshade_edge.studies.evaluate.sensors import reconstructor
-from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Bool, Frame, HeightMap
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 

@@ -7,10 +7,9 @@ from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.scenes import scenes
-from tacshade_edge.studies.evaluate.score import KnownTruth, Row
+from tacshade_edge.studies.evaluate.score import KnownTruth, Row, contact_iou, score_cloud
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate, time_profiles
-from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame

@@ -15,7 +15,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS, ball, bars, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import (
     NULL_NOISE,
     PRESSES,
@@ -23,6 +22,7 @@ from tacshade_edge.studies.evaluate.sensors import (
     SCENE_NOISE,
     PressedSensor,
     SensorName,
+    calibrate_sensors,
     calibrated_sensor,
     reconstructor,
 )

@@ -20,8 +20,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin
-from tacshade_edge.studies.cases import calibrate_sensors
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F64, U8, Calibration, Frame
 from tools.testbed.simulator.families import other

@@ -14,8 +14,7 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.truth import skin_points
-from tacshade_edge.studies.cases import calibrate_sensors
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F32, F64, Bool, Calibration, Frame, freeze
 from tools.studies.drag.work import CONDITIONS

@@ -14,8 +14,7 @@ from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.studies.cases import calibrate_sensors
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration, Frame, Need, Slip
 from tools.testbed.simulator.motion import Motion, pressed

@@ -1,3 +1,7 @@
+"""A map judged by a known surface, the paper's average and the picture of both."""
+
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +12,7 @@ from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.pad import Arc, Bar, Pad
-from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
+from tacshade_edge.studies.stitch.truth import KnownSurface, comparison, radius_average, read_known, score
 
 BAR, RING = Bar(5.1, 3.1, 5.1, 23.1, 3.0), Arc(20.1, 13.1, 7.0, 3.0)
 
@@ -110,3 +114,46 @@ def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         read_known(tmp_path / "none.npz")
+
+
+def test_each_height_is_the_mean_of_those_in_the_radius() -> None:
+    # Three in a row, 0.8 mm apart: the middle one sees both others, the outer ones only it.
+    points = np.array(((0.0, 0.0, 1.0), (0.8, 0.0, 2.0), (1.6, 0.0, 6.0), (520.0, 0.0, 9.0)))
+    raster = radius_average(points, step_mm=0.4, radius_mm=1.0)
+    found = {round(x, 1): z for x, _, z in raster.points()}
+    assert found == {
+        0.0: pytest.approx(1.5),
+        0.8: pytest.approx(3.0),
+        1.6: pytest.approx(4.0),
+        520.0: pytest.approx(9.0),
+    }
+
+
+def test_noise_is_smoothed_and_edges_are_too() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 10, (2, 8000))
+    points = np.stack((x, y, (x > 5) + rng.normal(0, 0.1, x.shape)), axis=1)
+    found = radius_average(points, 0.25).points()
+    flat = np.abs(found[:, 0] - 5) > 1.5
+    assert np.std(found[flat, 2] - (found[flat, 0] > 5)) < 0.03
+    assert np.ptp(found[np.abs(found[:, 0] - 5) < 0.5, 2]) < 0.75
+
+
+def test_the_error_is_where_it_is() -> None:
+    known = Raster(np.zeros((20, 30), np.float32), 0.0, 0.0, 0.25)
+    z = known.z_mm.copy()
+    z[2:6, 3:7] = 0.5  # at small x and y: bottom left of a picture from above
+    z[10:, 20:] = np.nan
+    picture = comparison(known, Raster(z, 0.0, 0.0, 0.25), known).astype(int)
+    height, width = picture.shape[0] // 2, picture.shape[1] // 2
+    zoom = 600 // 30
+    error = picture[height + 22 : height + 22 + 20 * zoom, width : width + 30 * zoom][
+        zoom // 2 :: zoom, zoom // 2 :: zoom
+    ]
+    red = (error[..., 2] == 255) & (error[..., 0] == 0)
+    expected = np.zeros((20, 30), bool)
+    expected[20 - 6 : 20 - 2, 3:7] = True
+    np.testing.assert_array_equal(red, expected)
+    grey = np.zeros((20, 30), bool)
+    grey[:10, 20:] = True
+    np.testing.assert_array_equal((error == 225).all(axis=2), grey)

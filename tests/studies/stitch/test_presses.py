@@ -11,9 +11,8 @@ from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import from_seven, of_pose, shift
-from tacshade_edge.studies.stitch import contact_frames
-from tacshade_edge.studies.stitch.contact_frames import PRESSES_MAX, frames_of_presses, read_contact_frames
-from tacshade_edge.studies.stitch.work import Press
+from tacshade_edge.studies.stitch import presses as contact_frames
+from tacshade_edge.studies.stitch.presses import PRESSES_MAX, Press, frames_of_presses, read_contact_frames
 from tacshade_edge.types import Pose
 
 POINTS = PressPoints(

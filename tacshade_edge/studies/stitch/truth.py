@@ -1,4 +1,4 @@
-"""Score a map against a known surface."""
+"""Judge a map by a known surface, beside the paper's average of the same presses, in figures and in a picture."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.spatial import cKDTree
 
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, F64, freeze
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.types import F32, F64, U8, freeze
 
 _STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
 _BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
@@ -23,20 +26,11 @@ _END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownSurface:
-    """A known surface, the contents of PAD.npz.
-
-    Attributes
-    ----------
-    raster : Raster
-    bars_mm : float64 (N, 5)
-        Straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be empty.
-    circles_mm : float64 (M, 4)
-        Ring bulges: x, y, radius of the middle line, width; may be empty.
-    """
+    """A known surface, the contents of PAD.npz."""
 
     raster: Raster
-    bars_mm: F64
-    circles_mm: F64
+    bars_mm: F64  # (N, 5) straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be empty
+    circles_mm: F64  # (M, 4) ring bulges: x, y, radius of the middle line, width; may be empty
 
     def __post_init__(self) -> None:
         freeze(self, "bars_mm", "circles_mm")
@@ -66,37 +60,18 @@ class CircleScore:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The accuracy of a map.
-
-    Attributes
-    ----------
-    rms_mm, mean_mm, p95_mm : float
-        Height errors in the map's cells over the known surface; `p95_mm` is of their absolute values.
-    outside_cells : int
-        Number of the map's cells beyond the known surface.
-    covered_mm2 : float
-    raised_coverage : float
-        Part of the surface above half its height that the map covers.
-    raised_rms_mm, raised_mean_mm : float
-        Height errors on that part.
-    flat_rms_mm : float
-        RMS error where the known surface varies by at most 0.1 mm within 0.75 mm: away from walls and edges.
-    wall_part : float
-        Part of the squared error in all other places.
-    bars : tuple of BarScore
-    circles : tuple of CircleScore
-    """
+    """The accuracy of a map: errors of heights in its cells, and what it covers."""
 
     rms_mm: float
     mean_mm: float
-    p95_mm: float
-    outside_cells: int
+    p95_mm: float  # of absolute errors
+    outside_cells: int  # beyond the known surface
     covered_mm2: float
-    raised_coverage: float
+    raised_coverage: float  # part of the surface above half its height that the map covers
     raised_rms_mm: float
     raised_mean_mm: float
-    flat_rms_mm: float
-    wall_part: float
+    flat_rms_mm: float  # where the known surface varies by at most 0.1 mm within 0.75 mm
+    wall_part: float  # part of the squared error in all other places
     bars: tuple[BarScore, ...]
     circles: tuple[CircleScore, ...]
 
@@ -106,13 +81,7 @@ class Score:
 
 
 def read_known(path: Path) -> KnownSurface:
-    """Read PAD.npz.
-
-    Raises
-    ------
-    ConfigError
-        The file is not readable, or not a map.
-    """
+    """Read PAD.npz. Raises ConfigError if it is not readable, or not a map."""
     try:
         with path.open("rb") as stream, np.load(stream) as npz:
             z, x0, y0, step = (npz[key] for key in ("z_mm", "x0_mm", "y0_mm", "step_mm"))
@@ -135,13 +104,7 @@ def read_known(path: Path) -> KnownSurface:
 
 
 def score(found: Raster, known: KnownSurface) -> Score:
-    """Compare a map cell by cell with the nearest known height.
-
-    Raises
-    ------
-    ConfigError
-        The map and the known surface share no cell.
-    """
+    """Compare a map cell by cell with the nearest known height. Raises ConfigError if they share no cell."""
     true = at_cells_of(known.raster, found)
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
@@ -209,10 +172,7 @@ def _bar(found: Raster, bar: F64, half: float) -> BarScore:
     slope, offset = np.polyfit(stations - length / 2, middles, 1)
     bent = middles - (slope * (stations - length / 2) + offset)
     return BarScore(
-        **where,
-        angle_deg=float(np.degrees(np.arctan(slope))),
-        off_mm=float(offset),
-        bent_mm=float(np.abs(bent).max()),
+        **where, angle_deg=math.degrees(math.atan(slope)), off_mm=float(offset), bent_mm=float(np.abs(bent).max())
     )
 
 
@@ -255,3 +215,77 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, float):
         return round(value, 4) if np.isfinite(value) else None
     return value
+
+
+_BLOCK_MM = 100.0
+RADIUS_MM = 1.0
+"""Radius of the average; the paper only states "a designated range"."""
+
+
+def radius_average(points_mm: F64, step_mm: float, radius_mm: float = RADIUS_MM) -> Raster:
+    """Average heights of points (N, 3) within a radius in the x, y plane, then in cells of a raster.
+
+    This is the paper's fusion (section V-B), which pools the points of all presses with equal weights.
+    """
+    pairs = cKDTree(points_mm[:, :2]).query_pairs(radius_mm, output_type="ndarray")
+    count = np.bincount(pairs.ravel(), minlength=len(points_mm)) + 1
+    total = points_mm[:, 2].copy()
+    for one, other in ((0, 1), (1, 0)):
+        total += np.bincount(pairs[:, one], points_mm[pairs[:, other], 2], len(points_mm))
+    fused = SurfaceMap(step_mm, bounded=False)
+    averaged = np.column_stack((points_mm[:, :2], total / count))
+    # The map accepts the extent of one press at a time, not a table's width.
+    _, block = np.unique(np.floor(points_mm[:, :2] / _BLOCK_MM), axis=0, return_inverse=True)
+    for k in range(block.max() + 1):
+        part = averaged[block == k]
+        fused.add(part, np.ones(len(part)))
+    return fused.raster()
+
+
+_PANEL_PX = 600  # greatest width of a surface with fewer cells
+_ERROR_MM = 0.5
+_BEYOND_MM = 0.3  # range beyond the known heights that the colours distinguish
+_GAP_PX, _TITLE_PX = 10, 22
+_UNTOUCHED_GREY = 225
+
+
+def write_comparison(path: Path, known: Raster, found: Raster, average: Raster) -> None:
+    """Write the picture, over the known surface, seen from above with y upwards. Raises DeviceError."""
+    with disk_errors(path.parent):
+        write_whole(path, cv2.imencode(".png", comparison(known, found, average))[1].tobytes())
+
+
+def comparison(known: Raster, found: Raster, average: Raster) -> U8:
+    """The picture, uint8 (H, W, 3) BGR; the first three panels share one colour scale."""
+    low, high = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
+    ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
+    error = (ours - known.z_mm + _ERROR_MM) / (2 * _ERROR_MM)
+    panels = [
+        _panel("known surface", (known.z_mm - low) / (high - low), _viridis()),
+        _panel("map", (ours - low) / (high - low), _viridis()),
+        _panel("the paper's average", (theirs - low) / (high - low), _viridis()),
+        _panel(f"map less known: blue -{_ERROR_MM:g}, red {_ERROR_MM:g} mm and more", error, _blue_white_red()),
+    ]
+    panels = [cv2.copyMakeBorder(p, 0, _GAP_PX, 0, _GAP_PX, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for p in panels]
+    return np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:])))
+
+
+def _viridis() -> U8:
+    return np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS), np.uint8)
+
+
+def _blue_white_red() -> U8:
+    up = np.minimum(2 * np.arange(256), 255)
+    return np.stack((up[::-1], np.minimum(up, up[::-1]), up), axis=1).astype(np.uint8)[:, None]
+
+
+def _panel(title: str, part: F32, colours: U8) -> U8:
+    """A panel of values from 0 to 1 in colours, under a title; grey where there are none."""
+    level = np.nan_to_num(np.clip(part, 0, 1) * 255).astype(np.uint8)
+    picture = colours[:, 0][level]
+    picture[~np.isfinite(part)] = _UNTOUCHED_GREY
+    zoom = max(1, _PANEL_PX // picture.shape[1])
+    picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    head = np.full((_TITLE_PX, picture.shape[1], 3), 255, np.uint8)
+    cv2.putText(head, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.vstack((head, picture))
