@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+from support import shared
 from support.examples import AT_DESK, at_most
 
 from tacshade_edge.cli.shared.logs import OneLineHandler
-from tools.testbed import shared
 
 settings.register_profile(
     "tacshade",

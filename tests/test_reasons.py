@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
@@ -20,7 +21,6 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.storage.runs.summary import summary
 from tacshade_edge.types import U8, Frame
-from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.simulator import camera_faults
 
 FLAGS_AT = 7  # in the wire's header

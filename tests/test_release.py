@@ -14,10 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.release.version import version
-from tools.testbed.calibrated_sensor import calibrated, pressed
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[1]

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from tools.testbed import shared
-from tools.testbed.calibrated_sensor import calibrated
+from support import shared
+from support.calibrated_sensor import calibrated
 
 
 def test_it_is_made_once_and_comes_back_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

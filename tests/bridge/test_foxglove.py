@@ -22,6 +22,8 @@ import numpy as np
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from support.published_sensor import CRC, PublishedSensor, bump
+from support.published_sensor import calibration as published_calibration
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
@@ -29,8 +31,6 @@ from tacshade_edge.types import F64, Pose, Touch
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience
-from tools.testbed.published_sensor import CRC, PublishedSensor, bump
-from tools.testbed.published_sensor import calibration as published_calibration
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 pytest.importorskip("foxglove_schemas_protobuf", reason="Foxglove's published schemas are not installed")

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.published_sensor import PublishedSensor, bump, calibration, health
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -17,8 +18,6 @@ from tacshade_edge.protocol import messages
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import stretched, wait_until
-from tools.testbed.published_health import health
-from tools.testbed.published_sensor import PublishedSensor, bump, calibration
 
 pytestmark = [
     pytest.mark.slow,

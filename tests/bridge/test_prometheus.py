@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.published_sensor import PublishedSensor, health
 
 from tacshade_edge.bridge.roster import SENSORS_MAX
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_health import health
-from tools.testbed.published_sensor import PublishedSensor
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
 

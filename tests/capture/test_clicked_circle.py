@@ -11,14 +11,14 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
+from support.browser import browser, errors
+from support.person import person
+from support.shown_page import NEEDS_A_BROWSER, js, shows
 
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.types import Disc
-from tools.testbed.browser import browser, errors
 from tools.testbed.patience import wait_until
-from tools.testbed.person import person
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, shows
 
 pytestmark = [*NEEDS_A_BROWSER, pytest.mark.slow]
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import tacshade_client as tc
+from support.published_sensor import CRC, bump
 from tacshade_client.listener import WAITING_MAX
 
 from tacshade_edge.protocol import messages, wire
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_sensor import CRC, bump
 
 needs_a_broker = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 pytestmark = needs_a_broker

@@ -13,6 +13,7 @@ import pytest
 import tacshade_client as tc
 from hypothesis import given
 from hypothesis import strategies as st
+from support.published_sensor import CRC, bump, calibration, dragged, health
 
 import tacshade_edge.core.geometry.back_projection as core
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
@@ -21,8 +22,6 @@ from tacshade_edge.protocol.hand import away, encode_hand
 from tacshade_edge.protocol.hand_messages import HandObjects
 from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
-from tools.testbed.published_health import health
-from tools.testbed.published_sensor import CRC, bump, calibration, dragged
 
 ROOT = Path(__file__).parents[2]
 VECTORS = {n: json.loads((ROOT / f"tests/protocol/vectors/{n}.json").read_text()) for n in ("wire", "hand", "touch")}

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, calibrated
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.release.version import version
-from tools.testbed.calibrated_sensor import FULL, calibrated
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience
 

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from support.published_sensor import CRC, bump, calibration, dragged
 from tacshade_client import Message, decode_message
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
-from tools.testbed.published_sensor import CRC, bump, calibration, dragged
 
 FOLDER = Path(__file__).parents[2] / "client_lerobot/lerobot_camera_tacshade"
 HALF_STEP_MM = 0.0125 + 1e-6

@@ -6,6 +6,20 @@ from itertools import product
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import (
+    FULL,
+    HALF,
+    TACTIP,
+    calibrated,
+    pressed,
+    presses,
+    reconstructor,
+    references,
+    sensor_of,
+    simulated,
+    step,
+    unloaded,
+)
 from support.toy_network import saying
 
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -22,20 +36,6 @@ from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
-from tools.testbed.calibrated_sensor import (
-    FULL,
-    HALF,
-    TACTIP,
-    calibrated,
-    pressed,
-    presses,
-    reconstructor,
-    references,
-    sensor_of,
-    simulated,
-    step,
-    unloaded,
-)
 from tools.testbed.simulator import camera_faults
 from tools.testbed.simulator.variants import released
 

@@ -6,10 +6,10 @@ import gc
 import tracemalloc
 
 import pytest
+from support.calibrated_sensor import FULL, pressed, reconstructor, unloaded
 
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import Frame, Reconstruction
-from tools.testbed.calibrated_sensor import FULL, pressed, reconstructor, unloaded
 
 pytestmark = pytest.mark.slow
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
 
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
@@ -23,7 +24,6 @@ from tacshade_edge.simulator.pad import Bar, Pad, scan
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.stitching.stitch_file import StitchFile
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import HALF, calibrated, simulated, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
 from tools.testbed.robot import PtyRobot

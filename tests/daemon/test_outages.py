@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.calibrated_sensor import FULL, calibrated
 
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import FULL, calibrated
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, promised, stretched, wait_until
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.stitching.stitcher import Stitcher
@@ -28,7 +29,6 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
 from tacshade_edge.types import Frame, Pose, Reconstruction
 from tools.testbed.bumpy_surface import APEX_MM, grid_poses, press_of
-from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import wait_until
 
 DEADLINE_S = 20.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -21,7 +22,6 @@ from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.processes import is_there, suspend
 from tools.testbed.robot import PtyRobot
 
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
@@ -186,6 +186,21 @@ def test_one_that_ends_at_once_waits_longer_each_time_until_a_reload(folder: Pat
         running.close()
 
 
+def states(pid: int) -> set[str]:
+    """The states of a process's threads, none if it has ended."""
+    found = set()
+    with contextlib.suppress(OSError):  # a thread ended meanwhile
+        for path in Path(f"/proc/{pid}/task").glob("*/stat"):
+            found.add(path.read_text().rpartition(")")[2].split()[0])
+    return found - {"Z"}
+
+
+def suspend(pid: int) -> None:
+    """Send SIGSTOP and wait until every thread has stopped: the kernel wakes a process whose stop is incomplete."""
+    os.kill(pid, signal.SIGSTOP)
+    wait_until(lambda: states(pid) == {"T"}, 20, "each thread stands")
+
+
 @needs_broker
 def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker) -> None:
     write_hand(folder, broker.port, "thumb")
@@ -199,9 +214,9 @@ def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker)
         finally:
             running.close()
         try:
-            wait_until(lambda: not any(map(is_there, children)), 20, "they end, stopped as they are")
+            wait_until(lambda: not any(map(states, children)), 20, "they end, stopped as they are")
         finally:
-            for child in filter(is_there, children):
+            for child in filter(states, children):
                 os.kill(child, signal.SIGKILL)
 
 

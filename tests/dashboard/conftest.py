@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
+from support.browser import browser, errors, errors_of_the_page
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.browser import browser, errors, errors_of_the_page
 
 
 @pytest.fixture(scope="session")

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.published_sensor import calibration
 
 from tacshade_edge.protocol import messages
 from tools.testbed.patience import patience
-from tools.testbed.published_sensor import calibration
 
 NODE = shutil.which("node")
 pytestmark = [pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")]

@@ -12,14 +12,14 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+from support.browser import errors
+from support.dashboard_process import dashboard
+from support.published_sensor import DISC, PublishedSensor, bump
+from support.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, until_shown
 
 from tacshade_edge.protocol import messages, wire
-from tools.testbed.browser import errors
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import DISC, PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 ROW, COL = 236.0, 300.0

@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+from support.dashboard_process import dashboard
+from support.published_sensor import PublishedSensor, bump
+from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 from tacshade_edge.protocol.hand import Finger, HandObject, HandObjects, away, encode_hand
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 pytestmark = NEEDS_A_BROWSER
 ROW, COL = 250.0, 340.0

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+from support.browser import browser, errors
+from support.dashboard_process import dashboard
+from support.published_sensor import DISC, PublishedSensor, bump, dragged, uncertain
+from support.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, unfold_health, until_shown
 
 from tacshade_edge.protocol import json_payload, messages, wire
-from tools.testbed.browser import browser, errors
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import DISC, PublishedSensor, bump, dragged, uncertain
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, unfold_health, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 

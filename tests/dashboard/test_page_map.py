@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
+from support.browser import errors
+from support.dashboard_process import dashboard
+from support.growing_map import PAD, scan
+from support.published_sensor import PublishedSensor, bump
+from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 from tacshade_edge.protocol import messages, wire
-from tools.testbed.browser import errors
-from tools.testbed.dashboard_process import dashboard
-from tools.testbed.growing_map import PAD, scan
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 pytestmark = NEEDS_A_BROWSER
 

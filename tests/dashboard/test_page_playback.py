@@ -10,14 +10,14 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+from support.dashboard_process import dashboard
 from support.recordings import write_recording
+from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 pytestmark = NEEDS_A_BROWSER
 PERIOD_NS = 33_000_000

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+from support.dashboard_process import dashboard
+from support.published_sensor import DISC, PublishedSensor, bump
+from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text, until_shown
 
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction, Touch
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import DISC, PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 

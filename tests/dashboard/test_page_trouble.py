@@ -11,15 +11,10 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-
-from tacshade_edge.protocol import wire
-from tools.testbed.browser import browser, errors, errors_of_the_page
-from tools.testbed.certificate import certificate
-from tools.testbed.dashboard_process import dashboard
-from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
-from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor, bump
-from tools.testbed.shown_page import (
+from support.browser import browser, errors, errors_of_the_page
+from support.dashboard_process import dashboard
+from support.published_sensor import PublishedSensor, bump
+from support.shown_page import (
     NEEDS_A_BROWSER,
     daemon,
     drawn,
@@ -31,6 +26,11 @@ from tools.testbed.shown_page import (
     unfold_health,
     until_shown,
 )
+
+from tacshade_edge.protocol import wire
+from tools.testbed.certificate import certificate
+from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
+from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 import tacshade_client
+from support.published_sensor import CRC, bump, calibration
 
 from tacshade_edge.protocol import messages, wire
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
-from tools.testbed.published_sensor import CRC, bump, calibration
 
 TEXT = (Path(__file__).parents[2] / "docs/reference/client.md").read_text()
 

@@ -12,14 +12,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
+from support.recorded_hand import record_hand
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
-from tools.testbed.recorded_hand import record_hand
 
 TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
 README = (Path(__file__).parents[2] / "README.md").read_text()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.geometry.disc import disc_mask
@@ -21,7 +22,6 @@ from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import V4l2
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 
 def _torn(image: U8) -> U8:

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import pressed
 
 from tacshade_edge.cli import main
 from tacshade_edge.factories import calibrations
@@ -20,7 +21,6 @@ from tacshade_edge.inference.onnx_weights import values_of, with_values
 from tacshade_edge.storage import checked_npz
 from tacshade_edge.storage.calibration import calibration_file, calibration_inputs
 from tacshade_edge.storage.checked_npz import Content
-from tools.testbed.calibrated_sensor import pressed
 
 STORED = Path(__file__).parents[1] / "golden/calibration-1.0.npz"
 VERSION, CRC32 = 8, 976847232

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
+from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Inputs
@@ -20,8 +22,6 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration
-from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
-from tools.testbed.fitted import fitted_network, fitted_with
 
 OLDER = calibration_file.VERSION - 1
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, presses
 from support.result_page import Page
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor, shipped_layout
 from tacshade_edge.types import Calibration, Frame
-from tools.testbed.calibrated_sensor import calibrated, presses
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.fit import FitResult

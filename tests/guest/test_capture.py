@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from support.handed_in import CAPTURED, CAPTURED_PRESS
+from support.person import person
 from support.vivid import unload_driver
 
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.settings import V4l2, load
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder
-from tools.testbed.person import person
 
 FEEDER = Path(__file__).resolve().parents[2] / "tools/rig/feed_video.py"
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"

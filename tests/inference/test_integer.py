@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.float_network import float_network, float_shear
 
 from tacshade_edge.core.depth import Network, NetworkMaps
@@ -18,7 +19,6 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import WEIGHTS, in_integers, load_network, runtime
 from tacshade_edge.inference.onnx_weights import Node, joined, message, nodes_of, weights_of
 from tacshade_edge.types import F32, F64, Frame
-from tools.testbed.calibrated_sensor import calibrated, pressed, unloaded
 
 OF_DEPTH = [name for name, profile in PROFILES.items() if profile.network]
 NAMES = [*OF_DEPTH, "shear"]

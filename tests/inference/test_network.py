@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, unloaded
+from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.depth.learned import Network
@@ -19,8 +21,6 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network, load_networks, make_reconstructor
 from tacshade_edge.storage.calibration.calibration_file import VERSION
 from tacshade_edge.types import F32, Frame
-from tools.testbed.calibrated_sensor import calibrated, pressed, unloaded
-from tools.testbed.fitted import fitted_network, fitted_with
 
 WEIGHTS = resources.files("tacshade_edge.inference") / "weights"
 NAMES = [name for name, profile in PROFILES.items() if profile.network]

@@ -12,7 +12,7 @@ import numpy as np
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference import network
 from tacshade_edge.types import Frame
-from tools.testbed.calibrated_sensor import calibrated, pressed
+from support.calibrated_sensor import calibrated, pressed
 
 def threads():
     return len(list(Path("/proc/self/task").iterdir()))

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.calibrated_sensor import calibrated
 
 import tacshade_edge as ts
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import calibrated
 
 NO_TEXT = [None, [], [1], {}, (1, 2), 5, 1.5, True, b"x", np.zeros((0, 0)), np.zeros((0, 0), np.uint8), object()]
 NO_PATH = [*NO_TEXT, "", "a\0b", "\ud800", "x" * 300, "a/" * 3000, Path("x" * 256)]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 import tacshade_edge as ts
 from tacshade_edge.daemon.pipeline.observer import FrameResult
@@ -15,7 +16,6 @@ from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.protocol import messages
 from tacshade_edge.types import Frame, Pose, Reconstruction
-from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 
 pytestmark = pytest.mark.slow
 

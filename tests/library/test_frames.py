@@ -7,13 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, unloaded
 
 import tacshade_edge as ts
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.library import frames
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame
-from tools.testbed.calibrated_sensor import calibrated, pressed, unloaded
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.published_sensor import CRC, bump, calibration, dragged, uncertain
 
 from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction, Touch
-from tools.testbed.published_sensor import CRC, bump, calibration, dragged, uncertain
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

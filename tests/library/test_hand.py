@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.recorded_hand import record_finger, record_hand
 
 import tacshade_edge as ts
 from tacshade_edge.protocol.hand import encode_hand
-from tools.testbed.recorded_hand import record_finger, record_hand
 
 
 def test_it_gives_what_the_hand_would_have_published(tmp_path: Path) -> None:

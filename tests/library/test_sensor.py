@@ -10,11 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.published_sensor import calibration, health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, received
-from tools.testbed.published_health import health
-from tools.testbed.published_sensor import calibration
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

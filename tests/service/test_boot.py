@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
+from support.calibrated_sensor import FULL, calibrated
 from support.locked_wheels import fetch
 
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import FULL, calibrated
 from tools.testbed.patience import stretched
 
 WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150

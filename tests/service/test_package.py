@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
+from support.calibrated_sensor import FULL, calibrated
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.release.package_debian import CONFFILES, RELEASES
 from tools.release.version import version
-from tools.testbed.calibrated_sensor import FULL, calibrated
 
 MACHINE = "x86_64"
 DEBIANS_PYTHON = "/usr/bin/python3"

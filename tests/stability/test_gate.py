@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support.built_sensor import built_calibration, marked
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
 from support.extreme_images import constant, ramp
 from support.soundness import sound_step
 
@@ -17,7 +18,6 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
 from tools.testbed.simulator import camera_faults
 
 MODELS = {"full": FULL, "half": HALF, "tactip": TACTIP}

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.depth import hybrid_sfs
 from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
@@ -14,7 +15,6 @@ from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F64, Bool
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 pytestmark = pytest.mark.slow
 CELLS = 64

@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.examples import at_most
+from support.fitted import fitted_with
 
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import DecodeError, TacshadeError
@@ -43,7 +44,6 @@ from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.storage.tables.presses import read_presses
 from tacshade_edge.types import Frame, Pose
 from tools.testbed.bumpy_surface import grid_poses, press_of
-from tools.testbed.fitted import fitted_with
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 CONFIG = Path(__file__).parents[2] / "config" / "default.yaml"

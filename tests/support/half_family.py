@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import pytest
 
+from support.calibrated_sensor import HALF
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
-from tools.testbed.calibrated_sensor import HALF
 
 HALF_SENSOR = SensorName("half", None)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
+from support.calibrated_sensor import references, sensor_of, simulated
+from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation.press_observation import PressObservation, observe_press
@@ -13,8 +15,6 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.types import Geometry
-from tools.testbed.calibrated_sensor import references, sensor_of, simulated
-from tools.testbed.shared import once_for_all_workers
 
 PRESSES = 24
 SEEDS = (0, 5, 11)

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import yaml
 
-from tools.testbed.calibrated_sensor import HALF, presses, references
+from support.calibrated_sensor import HALF, presses, references
 
 
 def write_files(folder: Path) -> list[str]:

@@ -10,7 +10,7 @@ import subprocess
 import threading
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
@@ -102,14 +102,20 @@ class Broker:
 
 
 class Subscriber:
-    """A subscriber, by default with MQTT 3.1.1; it keeps every message in order and reconnects by itself."""
+    """A subscriber, by default with MQTT 3.1.1; it keeps every message in order and reconnects by itself.
 
-    def __init__(self, port: int, topics: str = "#", *, v5: bool = False) -> None:
+    With `page`, it connects as a browser does: over WebSocket, through the dashboard's port.
+    """
+
+    def __init__(self, port: int, topics: str = "#", *, v5: bool = False, page: bool = False) -> None:
         self.messages: list[MQTTMessage] = []
         self._subscribed = threading.Event()
-        self.client = Client(
-            CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5 if v5 else MQTTProtocolVersion.MQTTv311
-        )
+        protocol = MQTTProtocolVersion.MQTTv5 if v5 or page else MQTTProtocolVersion.MQTTv311
+        transport: Literal["websockets", "tcp"] = "websockets" if page else "tcp"
+        self.client = Client(CallbackAPIVersion.VERSION2, protocol=protocol, transport=transport)
+        if page:  # paho's own origin says https
+            own = {"Origin": f"http://127.0.0.1:{port}"}
+            self.client.ws_set_options(path="/mqtt", headers=lambda defaults: {**defaults, **own})
         self.client.reconnect_delay_set(1, 1)
         self.client.on_connect = lambda client, *_: client.subscribe(topics, qos=1)
         # Without `self`: in a cycle, the collector can reach the client's sockets before the client closes them.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.fake_printer import FakePrinter, Faults, Sensor
 
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
@@ -29,7 +30,6 @@ from tacshade_edge.settings.printer_file import PrinterFile
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.types import Frame
-from tools.testbed.fake_printer import FakePrinter, Faults, Sensor
 
 LIMITS = PrinterFile(x_mm=[0, 220], y_mm=[0, 220], z_mm=[57, 200], start_mm=[100, 100, 64], feed_mm_s=50)
 UPRIGHT = Sensor(x_mm=100, y_mm=100, tip_z_mm=61.23, yaw_deg=0)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.fake_printer import FakePrinter, Faults
 
 from tacshade_edge.capture.printer.head import Head
 from tacshade_edge.capture.printer.keypress_stop import KeypressStop
@@ -17,7 +18,6 @@ from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings.printer_file import PrinterFile
-from tools.testbed.fake_printer import FakePrinter, Faults
 
 pytestmark = pytest.mark.slow
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, presses, simulated, unloaded
+from support.fitted import fitted_with
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
@@ -20,8 +22,6 @@ from tacshade_edge.simulator.objects import Shape, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import F64
-from tools.testbed.calibrated_sensor import calibrated, pressed, presses, simulated, unloaded
-from tools.testbed.fitted import fitted_with
 from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.slow

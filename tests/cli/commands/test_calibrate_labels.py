@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import simulated
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
@@ -20,7 +21,6 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.types import Calibration, Frame, Need
-from tools.testbed.calibrated_sensor import simulated
 
 pytestmark = pytest.mark.slow
 ROWS = 60

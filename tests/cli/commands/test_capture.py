@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from support.person import Person, person
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -17,7 +18,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder
 from tacshade_edge.storage.tables.presses import read_presses
 from tools.testbed.patience import wait_until
-from tools.testbed.person import Person, person
 from tools.testbed.robot import PtyRobot
 
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.person import Person, person
 
 from tacshade_edge.cli import main
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
-from tools.testbed.person import Person, person
 from tools.testbed.robot import PtyRobot
 
 LATE_S = 0.3

@@ -10,13 +10,13 @@ from pathlib import Path
 from urllib.request import Request, urlopen
 
 import pytest
+from support.fake_printer import FakePrinter, Mounted
+from support.person import goes_to_the_skin, person
 
 from tacshade_edge.cli import main
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder
 from tacshade_edge.storage.tables.indenters import read_indenters
 from tacshade_edge.storage.tables.presses import read_presses
-from tools.testbed.fake_printer import FakePrinter, Mounted
-from tools.testbed.person import goes_to_the_skin, person
 
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [40, 200]\nstart_mm: [100, 100, 78]\nfeed_mm_s: 50\n"

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.browser import CHROMIUM, DRIVER, browser, errors
 
 from tacshade_edge.demo import hand as demo_hand
+from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.hand import decode_hand
 from tacshade_edge.settings import load_hand
-from tools.testbed.browser import CHROMIUM, DRIVER, browser, errors
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
-from tools.testbed.page_client import PageClient
 from tools.testbed.patience import patience, wait_until
 
 # As on a machine without mosquitto.
@@ -75,7 +75,12 @@ def running(folder: Path) -> list[str]:
     return found
 
 
-def asked(page: PageClient, verb: str, body: dict[str, object]) -> dict[str, Any]:
+def heights(page: Subscriber) -> list[wire.HeightMessage]:
+    decoded = [wire.decode(bytes(m.payload)) for m in list(page.messages) if m.topic.endswith("/height")]
+    return [message for message in decoded if isinstance(message, wire.HeightMessage)]
+
+
+def asked(page: Subscriber, verb: str, body: dict[str, object]) -> dict[str, Any]:
     """What the demo's hand answers, as the page would ask it."""
     page.client.publish(f"tacshade/demo/req/{verb}", json.dumps({**body, "transaction": "test"}))
 
@@ -96,16 +101,17 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
     if broker == "embedded":
         pytest.importorskip("iotcore")
     with demo(COMMANDS[broker], tmp_path) as (process, port):
-        with PageClient(port) as page:
-            heights = page.wait_for_heights(20, 30)
+        with Subscriber(port, "tacshade/#", page=True) as page:
+            wait_until(lambda: len(heights(page)) >= 20, 30, "20 height maps")
+            maps = heights(page)
             recording = asked(page, "record", {"action": "start", "seconds": 5})
             assert Path(recording["folder"]).is_relative_to(tmp_path)
         assert running(tmp_path)
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=patience(20))
         assert (process.returncode, out, errors) == (0, "", "")
-    depths = [float(np.nanmax(message.height_mm)) for message in heights]
-    assert heights[0].height_mm.shape == (112, 112)
+    depths = [float(np.nanmax(message.height_mm)) for message in maps]
+    assert maps[0].height_mm.shape == (112, 112)
     assert 1.0 < max(depths) < 6.0  # 3 mm is pressed
     assert len(set(depths)) > 5  # it moves
     assert running(tmp_path) == []

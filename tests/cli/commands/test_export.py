@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.recorded_hand import record_hand
 
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import export as command
@@ -19,7 +20,6 @@ from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.types import Frame, Pose
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
-from tools.testbed.recorded_hand import record_hand
 
 IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
 PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000

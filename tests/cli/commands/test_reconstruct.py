@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
 from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
@@ -16,7 +17,6 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.pictures.axes import BAR_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
 from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.slow

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated
 from support.golden_replay import FRAMES, GOLDEN, figures, write_input
 
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.calibrated_sensor import calibrated
 
 # For another machine's rounding: far below what a change of the reconstruction does.
 DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.01, 0.016

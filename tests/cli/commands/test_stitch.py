@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, unloaded
 from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
@@ -17,7 +18,6 @@ from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator.pad import Bar, Pad
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.parallel import ThisProcess
-from tools.testbed.calibrated_sensor import HALF, calibrated, unloaded
 
 pytestmark = pytest.mark.slow
 

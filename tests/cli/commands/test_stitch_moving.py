@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, simulated
 from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8
 from tools.studies.flange import DELAY_S, TRUE, write_recording
-from tools.testbed.calibrated_sensor import calibrated, simulated
 from tools.testbed.flange_plan import TURNS_DEG, Turns
 
 pytestmark = pytest.mark.slow

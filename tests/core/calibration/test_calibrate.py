@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
-from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
 pytestmark = pytest.mark.slow
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
+from support.calibrated_sensor import HALF, presses, references, sensor_of
 from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
@@ -20,7 +21,6 @@ from tacshade_edge.core.calibration.presses.travel_fit import agreement_mae_mm
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.types import Disc, Geometry
-from tools.testbed.calibrated_sensor import HALF, presses, references, sensor_of
 
 RADII_MM = (12.0, 30.0)
 

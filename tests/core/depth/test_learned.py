@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, unloaded
 from support.toy_network import answering
 
 from tacshade_edge.core.depth.learned import LearnedInverse, LearnedSolver
@@ -8,7 +9,6 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F32, Disc, Geometry
-from tools.testbed.calibrated_sensor import HALF, calibrated, unloaded
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
 UNIT_MM = 20 * np.sin(np.radians(50))

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, unloaded
 from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check.blocks import ROUNDED, block_check, block_means, block_reasons
@@ -12,7 +13,6 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, unloaded
 from tools.testbed.simulator import camera_faults
 
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.frame_check.camera_shift import CameraShift
 from tacshade_edge.core.geometry import disc_map
@@ -11,7 +12,6 @@ from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import F32, U8, Frame
-from tools.testbed.calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
 
 
 def cells(image: U8, model: SensorModel) -> F32:

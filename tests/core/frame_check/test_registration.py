@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 
 from tacshade_edge.core.frame_check.registration import (
     Drift,
@@ -20,7 +21,6 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.types import U8, Disc
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 from tools.testbed.simulator import camera_faults
 
 DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, simulated, unloaded
 
 from tacshade_edge.core.frame_check.unchanged import LEVELS, UnchangedSkin
 from tacshade_edge.core.frame_check.validity import sensor_check
@@ -15,7 +16,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Frame, Need, Reconstruction
-from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, simulated, unloaded
 
 
 def fresh(profile: str, model: SensorModel = HALF) -> Reconstructor:

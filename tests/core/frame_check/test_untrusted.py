@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.toy_network import saying
 
 from tacshade_edge.core.depth.network_maps import fold
@@ -14,7 +15,6 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import F32, U8, Bool, Frame, Reconstruction
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
 TOUCHED = np.hypot(ROW, COL) < 20

@@ -8,6 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from support.calibrated_sensor import (
+    FULL,
+    HALF,
+    TACTIP,
+    calibrated,
+    pressed,
+    random_sensor,
+    simulated,
+    unloaded,
+)
 from support.examples import examples
 from support.plain_blocks import plain_blocks
 
@@ -23,16 +33,6 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.types import U8, Bool, Disc
-from tools.testbed.calibrated_sensor import (
-    FULL,
-    HALF,
-    TACTIP,
-    calibrated,
-    pressed,
-    random_sensor,
-    simulated,
-    unloaded,
-)
 from tools.testbed.simulator import camera_faults
 
 

@@ -4,6 +4,16 @@ from itertools import product
 import numpy as np
 import pytest
 from support.built_sensor import built_calibration
+from support.calibrated_sensor import (
+    FULL,
+    HALF,
+    calibrated,
+    pressed,
+    random_sensor,
+    references,
+    sensor_of,
+    unloaded,
+)
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference.pattern import marker_pitch_px
@@ -26,16 +36,6 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.calibrated_sensor import (
-    FULL,
-    HALF,
-    calibrated,
-    pressed,
-    random_sensor,
-    references,
-    sensor_of,
-    unloaded,
-)
 from tools.testbed.simulator.tactip import tactip
 
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.image.median import median
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F32
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from tools.testbed.simulator import camera_faults
 
 CHANGE = np.float32(60)

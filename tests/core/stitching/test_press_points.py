@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, step
 
 from tacshade_edge.core.stitching.press_points import MIN_CONFIDENCE, NO_POINTS, height_weight, press_points
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.types import HeightMap
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, step
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.daemon.pipeline.observer import FrameResult
@@ -18,7 +19,6 @@ from tacshade_edge.protocol.replies import encode_reply
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.storage.stitching.stitch_file import open_session
 from tacshade_edge.types import Frame, Need, Pose, Reconstruction
-from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import patience, wait_until
 
 BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]

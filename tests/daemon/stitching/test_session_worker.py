@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
@@ -31,7 +32,6 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import of_pose
 from tacshade_edge.storage.stitching.stitch_file import open_session
 from tacshade_edge.types import Frame, Pose, Reconstruction
-from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import patience, wait_until
 
 DEADLINE_S = 20.0

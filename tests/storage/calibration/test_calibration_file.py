@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.calibrated_sensor import calibrated
 from support.examples import at_most
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration, Fit, ProfileFit
-from tools.testbed.calibrated_sensor import calibrated
 from tools.testbed.painted_sensor import painted_calibration
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated
+from support.fitted import fitted_with
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.calibration.fitted_networks import pack, unpack
 from tacshade_edge.types import FittedNetwork
-from tools.testbed.calibrated_sensor import calibrated
-from tools.testbed.fitted import fitted_with
 
 FITTED = {
     "fast": FittedNetwork(

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 from mcap.reader import NonSeekingReader, make_reader
+from support.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
 
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.storage.recording import mcap_recorder
@@ -21,7 +22,6 @@ from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of, events_in
 from tacshade_edge.types import U8, Frame, Pose
-from tools.testbed.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
 from tools.testbed.painted_sensor import painted_calibration
 
 WALL_NS, PERIOD_NS = 1_790_000_000_000_000_000, 16_666_667

@@ -3,11 +3,11 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated
 from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.studies.evaluate import picture
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import calibrated
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.published_sensor import CRC, bump
 from tacshade_client import CloudMessage, HeightMessage, TouchNumbers, decode
 
 from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
@@ -13,7 +14,6 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8
 from tools.examples.ros2 import ros_messages
-from tools.testbed.published_sensor import CRC, bump
 
 typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
 STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.calibrated_sensor import FULL, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -17,7 +18,6 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
-from tools.testbed.calibrated_sensor import FULL, references, sensor_of, simulated
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import calibrated, presses, unloaded
 
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
@@ -11,7 +12,6 @@ from tacshade_edge.core.calibration.presses.press_question import question
 from tacshade_edge.core.calibration.presses.press_view import PressView
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.types import Disc, Geometry
-from tools.testbed.calibrated_sensor import calibrated, presses, unloaded
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 PRESS = KnownPress("press", np.zeros((2, 2), np.uint8), 12.0, 2.0, 6.0, -3.0)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from support.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -14,7 +15,6 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8, Polarity
-from tools.testbed.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
 from tools.testbed.simulator.families import sensor_name
 
 pytestmark = pytest.mark.slow

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 
 from tacshade_edge.core.calibration.indenters.indenter import box
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -14,7 +15,6 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.objects import ridge
 from tacshade_edge.simulator.press import Press
-from tools.testbed.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 
 pytestmark = pytest.mark.slow
 

@@ -7,6 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
 
 from tacshade_edge.core.calibration.reference.following import (
     COMMON_GREY,
@@ -31,7 +32,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Calibration, Frame
-from tools.testbed.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
 from tools.testbed.simulator import camera_faults
 
 pytestmark = pytest.mark.slow

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from support.calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references, simulated
 
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px, mean_image
 from tacshade_edge.core.image.greyscale import to_grey
@@ -14,7 +15,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.render import print_features, project
 from tacshade_edge.simulator.skin import chart_to_direction
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references, simulated
 from tools.testbed.simulator.families import sensor_name
 
 MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {f"random {k}": random_sensor(k) for k in range(6)}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, TACTIP, references
 from support.sparse_dome import SIZE, sparse_dome
 
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -19,7 +20,6 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Reconstruction
-from tools.testbed.calibrated_sensor import HALF, TACTIP, references
 
 SENSOR = Sensor(20.0, 25.0, 50.0, "dark")
 

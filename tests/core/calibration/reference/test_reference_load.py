@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import loaded, references, sensor_of
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference.reference_load import quarter_turned
@@ -12,7 +13,6 @@ from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Disc
-from tools.testbed.calibrated_sensor import loaded, references, sensor_of
 from tools.testbed.simulator.other_family import OtherSensor, other_model
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, simulated
 
 from tacshade_edge.core.calibration.reference.stillness import block_means, motion_grey, stands_still
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import F32
-from tools.testbed.calibrated_sensor import HALF, simulated
 
 
 def blocks(depths_mm: list[float], seed: int) -> list[F32]:

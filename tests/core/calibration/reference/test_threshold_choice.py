@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, HALF, TACTIP, references
 from support.sparse_dome import FIELD, PITCH_PX, sparse_dome
 
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px
 from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.model import SensorModel
-from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, references
 
 
 def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them() -> None:

@@ -3,12 +3,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import FULL, simulated, unloaded
 
 from tacshade_edge.core.calibration.reference.view import Pattern, find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Disc
-from tools.testbed.calibrated_sensor import FULL, simulated, unloaded
 
 
 @pytest.fixture(scope="module")

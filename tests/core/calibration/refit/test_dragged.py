@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, calibrated, simulated
 
 from tacshade_edge.core.calibration.refit.dragged import (
     LONGEST_MM,
@@ -22,7 +23,6 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Bool, Disc
-from tools.testbed.calibrated_sensor import HALF, calibrated, simulated
 
 DISC = Disc(60.0, 80.0, 50.0)
 SHAPE = (120, 160)

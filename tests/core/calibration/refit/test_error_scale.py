@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, presses
 
 from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma, press_q
 from tacshade_edge.core.calibration.refit.press_targets import fitted_error_scale, press_targets
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_network
-from tools.testbed.calibrated_sensor import HALF, calibrated, presses
 
 FLAT = SigmaModel((0.0,) * 5, 3.0, 0.0, 1.0)
 """1 mm everywhere on a skin of 20 mm, and q is the scale."""

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, presses, simulated
 
 from tacshade_edge.core.calibration.indenters.indenter import box, cylinder
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -19,7 +20,6 @@ from tacshade_edge.core.calibration.refit.press_targets import (
 )
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_network
-from tools.testbed.calibrated_sensor import HALF, calibrated, presses, simulated
 
 FAST = load_network("fast")
 

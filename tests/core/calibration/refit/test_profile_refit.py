@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -15,7 +16,6 @@ from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Frame
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated
 
 pytestmark = pytest.mark.slow
 

@@ -15,6 +15,7 @@ pytest.importorskip("foxglove_schemas_protobuf")
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
+from support.mcap_bytes import CHUNK, described, file_of, flipped, message, record_starts
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.recording.image_source import FilesSource, first_size_px
@@ -22,7 +23,6 @@ from tacshade_edge.storage.recording.mcap import frames, messages
 from tacshade_edge.storage.recording.mcap.writer import McapWriter
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import U8, Frame, Pose
-from tools.testbed.mcap_bytes import CHUNK, described, file_of, flipped, message, record_starts
 
 PERIOD_NS = 33_333_333
 WALL_NS = 1_790_000_000_000_000_000

@@ -11,12 +11,12 @@ pytest.importorskip("mcap")
 import lz4.frame
 import zstandard
 from mcap.writer import CompressionType, Writer
+from support.mcap_bytes import MAGIC, chunk, described, file_of, flipped, message, record
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.recording.mcap import records
 from tacshade_edge.storage.recording.mcap.records import McapFile, Message, attachments_in
 from tacshade_edge.storage.recording.mcap.walk import Damage
-from tools.testbed.mcap_bytes import MAGIC, chunk, described, file_of, flipped, message, record
 
 Pack = Callable[[bytes], bytes]
 PACKINGS: dict[str, Pack] = {

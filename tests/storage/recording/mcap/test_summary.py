@@ -7,10 +7,10 @@ import pytest
 
 pytest.importorskip("mcap")
 from mcap.writer import Writer
+from support.mcap_bytes import FOOTER, described, file_of, flipped, message, record
 
 from tacshade_edge.storage.recording.mcap.records import McapFile
 from tacshade_edge.storage.recording.mcap.summary import SUMMARY_BYTES_MAX, Summary, channel_in
-from tools.testbed.mcap_bytes import FOOTER, described, file_of, flipped, message, record
 
 
 def summary_of(path: Path, content: bytes) -> tuple[Summary | None, str]:

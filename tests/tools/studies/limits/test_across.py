@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, simulated
 
 from tacshade_edge.simulator.objects import bars, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import HeightMap
 from tools.studies.limits.across import across, dip_mm, found_heights, top_mm
-from tools.testbed.calibrated_sensor import HALF, simulated
 
 
 @pytest.mark.parametrize("turn", [0.0, 60.0])

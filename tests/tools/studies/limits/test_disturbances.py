@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, simulated
 
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tools.studies.limits.disturbances import BEYOND, CHANGES, RELEASED, UNDISTURBED, without_contact
-from tools.testbed.calibrated_sensor import HALF, simulated
 from tools.testbed.simulator.variants import released
 
 CLEAN = simulated(HALF).frame((), 9).image

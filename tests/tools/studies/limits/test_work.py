@@ -4,6 +4,7 @@ from dataclasses import fields
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF
 from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.skin import press_skin
@@ -12,7 +13,6 @@ from tacshade_edge.studies.tables import csv_text
 from tools.studies.limits import picture
 from tools.studies.limits.summary import text
 from tools.studies.limits.work import Limits, Plan, ball_press, cylinder_press, limits
-from tools.testbed.calibrated_sensor import HALF
 
 PLAN = Plan(
     (HALF_SENSOR,),

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, pressed, reconstructor
 
 from tools.studies.drag.work import DEPTHS_MM, DIRECTIONS
 from tools.studies.sigma.work import DRAGGED_MM, presses, true_height_mm
-from tools.testbed.calibrated_sensor import HALF, pressed, reconstructor
 
 
 def test_objects_are_pressed_and_dragged_as_by_the_study_of_drag() -> None:

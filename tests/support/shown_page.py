@@ -15,11 +15,11 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
-from tools.testbed.browser import CHROMIUM, DRIVER
-from tools.testbed.growing_map import GrowingMap
+from support.browser import CHROMIUM, DRIVER
+from support.growing_map import GrowingMap
+from support.published_sensor import PublishedSensor
 from tools.testbed.mqtt_rig import MOSQUITTO
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_sensor import PublishedSensor
 
 _MISSING = [
     name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.skin_scale import skin_scale
@@ -20,7 +21,6 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
-from tools.testbed.shared import once_for_all_workers
 from tools.testbed.simulator.tactip import tactip
 
 FULL = SensorModel()

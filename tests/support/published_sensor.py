@@ -10,7 +10,9 @@ import numpy as np
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.protocol import json_payload, messages, wire
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject
 
@@ -140,3 +142,18 @@ class PublishedSensor:
         if result.touch is not None or not result.contact:
             self.publish("touch", messages.encode_touch(result))
         self.publish("contact", messages.encode_contact(result, fps=30.0))
+
+
+def health() -> bytes:
+    """A `health` after three frames, one of them invalid."""
+    ledger, timings = FrameLedger(), Timings()
+    for seq in range(3):
+        ledger.captured(seq)
+    ledger.settle(0, "published")
+    ledger.settle(1, "invalid")
+    timings.add({"latency": 20.0, "solve": 5.0})
+    told = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
+    parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
+    return json_payload.encode_json(
+        {**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"}
+    )
