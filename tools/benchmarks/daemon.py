@@ -52,11 +52,14 @@ from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recorder import PNG_OPTIONS
 from tacshade_edge.types import Frame
-from tools.testbed.daemon_rig import BASE, broker, cpu_s, draw_rings, memory_mb
+from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
+from tools.testbed.mqtt_rig import Broker
 
 RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
 OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
 SETTLE_S = 4.0  # start, first frames
+KEPT = ("max_queued_messages 1000",)
+"""The broker may lose nothing: every published map is counted."""
 ROWS = {  # name: program, ring, the subscriber's topics
     "contact": (RING_DAEMON, "contact", "#"),
     "contact, null": (NULL_DAEMON, "contact", "#"),
@@ -286,12 +289,12 @@ def main() -> int:
         folder = Path(name)
         rows, hours = RECORD_ROWS if args.record else ROWS, list[str]()
         runs: dict[str, list[dict[str, Any]]] = {row: [] for row in rows}
-        with broker(folder) as port:
-            prepare(folder, port, args.profile)
+        with Broker(folder, more=KEPT) as broker:
+            prepare(folder, broker.port, args.profile)
             for _ in range(args.runs):
                 for row, what in rows.items():
                     shutil.rmtree(folder / "recs", ignore_errors=True)
-                    runs[row].append(measure(row, what, folder, port, args))
+                    runs[row].append(measure(row, what, folder, broker.port, args))
                     if row in RECORDING:
                         recorded = runs[row][-1]["health"]["recorder"]
                         hours.append(an_hour(folder / "recs" / RECORDING[row], recorded, args.fps))

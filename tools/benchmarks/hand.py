@@ -38,8 +38,9 @@ from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.hand import HandObjects, decode_hand
 from tacshade_edge.studies.tables import markdown
-from tools.benchmarks.daemon import NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
-from tools.testbed.daemon_rig import broker, cpu_s, pss_mb
+from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
+from tools.testbed.daemon_rig import cpu_s, pss_mb
+from tools.testbed.mqtt_rig import Broker
 
 PRESSED = 2
 TOPICS = ("height", "cloud", "contact", "health", "state")
@@ -195,8 +196,8 @@ def main() -> int:
     names = [f"finger{k}" for k in range(args.sensors)]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        with broker(folder) as port:
-            prepare(folder, port, args.profile)
+        with Broker(folder, more=KEPT) as broker:
+            prepare(folder, broker.port, args.profile)
             text, calibration = (folder / "config.yaml").read_text(), (folder / "c.npz").read_bytes()
             sensors, fingers = [], []
             for k, name in enumerate(names):
@@ -210,11 +211,11 @@ def main() -> int:
                 own = f"calibration: {name}.npz, source: {{kind: simulated}}"
                 sensors.append(f"  {name}: {{{own}}}\n")
                 fingers.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}\n")
-            common = f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
-            common += "stitching: {folder: maps}\n"
+            common = f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            common += "recorder: {folder: recs}\nstitching: {folder: maps}\n"
             (folder / "hand.yaml").write_text(f"{common}sensors:\n{''.join(sensors)}")
             (folder / "objects.yaml").write_text(f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}")
-            results = {row: measure(row, folder, port, names, args) for row in ROWS}
+            results = {row: measure(row, folder, broker.port, names, args) for row in ROWS}
     head = ["", "memory MB", "CPU cores", "p50 ms", "p99 ms", "max ms", "captured", "accounted"]
     rows = [
         [

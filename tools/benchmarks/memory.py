@@ -39,7 +39,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.daemon_rig import BASE, FIELDS, broker, draw_rings, memory_mb
+from tools.testbed.daemon_rig import BASE, FIELDS, draw_rings, memory_mb
+from tools.testbed.mqtt_rig import Broker
 
 TOP = 8
 SLOWEST_FPS = 1.0  # the bench gives up on a slower daemon
@@ -138,13 +139,13 @@ def main() -> int:
         source = f"{{kind: {args.source}, fps: {args.fps}}}"
         if args.source == "files":
             source = f"{{kind: files, path: images, fps: {args.fps}, loop: true}}"
-        with broker(folder) as port:
+        with Broker(folder) as broker:
             config = folder / "config.yaml"
             config.write_text(
                 f"sensor_id: bench\nprofile: {args.profile}\ncalibration: c.npz\nsource: {source}\n"
-                f"mqtt: {{host: 127.0.0.1, port: {port}}}\n" + "latency_budget_ms: 50\n" * (args.profile == AUTO)
+                f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n" + "latency_budget_ms: 50\n" * (args.profile == AUTO)
             )
-            result = measure(folder, config, port, args.frames)
+            result = measure(folder, config, broker.port, args.frames)
     print(f"{'frames':>8}" + "".join(f"{name + ' MB':>13}" for name in FIELDS))
     for count, memory in result["after"].items():
         print(f"{count:>8}" + "".join(f"{memory[name]:>13.1f}" for name in FIELDS))

@@ -31,7 +31,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.rig.arm64 import instructions_each
-from tools.testbed.daemon_rig import BASE, broker
+from tools.testbed.daemon_rig import BASE
+from tools.testbed.mqtt_rig import Broker
 
 TREE = Path(__file__).resolve().parents[2]
 ARM = (sys.executable, "-m", "tools.rig.arm64")
@@ -85,12 +86,12 @@ def same_frames(python: str) -> list[str]:
 def daemon(python: str) -> list[str]:
     """Run the command `run` for a minute on this machine's broker; return the problems."""
     health: list[dict[str, dict[str, int]]] = []
-    with tempfile.TemporaryDirectory() as folder, broker(Path(folder)) as port:
+    with tempfile.TemporaryDirectory() as folder, Broker(Path(folder)) as broker:
         config = TREE / GIVEN / "run.yaml"
         config.write_text(
             f"sensor_id: {BASE.rpartition('/')[2]}\ncalibration: calibration.npz\nprofile: fast\n"
-            f"source: {{kind: files, path: images, fps: {FPS}, loop: true}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
-            "stitching: {folder: /tmp/maps}\n"
+            f"source: {{kind: files, path: images, fps: {FPS}, loop: true}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\nstitching: {{folder: /tmp/maps}}\n"
         )
         client = Client(CallbackAPIVersion.VERSION2)
         seen = 0
@@ -103,7 +104,7 @@ def daemon(python: str) -> list[str]:
                 seen += 1
 
         client.on_message = on_message
-        client.connect("127.0.0.1", port)
+        client.connect("127.0.0.1", broker.port)
         client.subscribe([(f"{BASE}/health", 0), (f"{BASE}/height", 0)])
         client.loop_start()
         words = (*ARM, "--python", python, "python3", "-m", "tacshade_edge", "run", "--config", str(GIVEN / "run.yaml"))
@@ -155,14 +156,14 @@ def quick(python: str) -> list[str]:
 def count() -> None:
     """Print a table of each stage's instructions, and what all of them would take."""
     rows = []
-    with tempfile.TemporaryDirectory() as folder, broker(Path(folder)) as port:
+    with tempfile.TemporaryDirectory() as folder, Broker(Path(folder)) as broker:
         for profile in PROFILES:
             learned = profile != "paper"
             for name, image in (("no contact", FREE), ("contact", PRESSED)):
                 stages = [stage for stage in STAGES if learned or stage not in ("shear", "sigma")]
                 stages = ["gate"] if image == FREE else stages
                 script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image)]
-                totals = [instructions_each([*script, stage, str(port)], COUNT) for stage in stages]
+                totals = [instructions_each([*script, stage, str(broker.port)], COUNT) for stage in stages]
                 own = dict(zip(stages, np.diff([0, *totals]), strict=True))
                 times = [
                     f"{1e3 * totals[-1] / hz / most:.1f} to {1e3 * totals[-1] / hz / least:.1f}"

@@ -1,16 +1,10 @@
-"""What the daemon's benches share: a broker, a camera that costs nothing, and its images."""
+"""What the daemon's benches share: a camera that costs nothing, its images, and figures of a process."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-import shutil
-import socket
-import subprocess
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,39 +14,6 @@ from tacshade_edge.types import U8, Frame
 RING = 32
 BASE = "tacshade/bench"
 FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "VmHWM"}
-
-
-@contextlib.contextmanager
-def broker(
-    folder: Path, general: str = "persistence false\nset_tcp_nodelay true\n", listener: str = ""
-) -> Iterator[int]:
-    """A mosquitto on a free loopback port, with general settings and settings of its listener.
-
-    Small messages go out at once, as with ``systemd/mosquitto-tacshade.conf``: otherwise each waits up to 40 ms for the
-    subscriber's acknowledgement of the previous one.
-    """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    config = folder / "mosquitto.conf"
-    user = "user root\n" if os.getuid() == 0 else ""
-    config.write_text(f"{general}{user}allow_anonymous true\nlistener {port} 127.0.0.1\n{listener}")
-    command = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-    if command is None:
-        raise SystemExit("found no mosquitto, expected Debian's package mosquitto")
-    process = subprocess.Popen([command, "-c", config], stderr=subprocess.DEVNULL)
-    try:
-        while True:
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            if process.poll() is not None:
-                raise SystemExit("mosquitto ended at once")
-            threading.Event().wait(0.02)
-        yield port
-    finally:
-        process.terminate()
-        process.wait()
 
 
 class RingSource:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.daemon_rig import broker
+from tools.testbed.mqtt_rig import Broker
 
 RECORD = Path(__file__).parent / "record.py"
 SENSOR_ID = "left-index"
@@ -38,15 +38,15 @@ def main() -> int:
     parser.add_argument("--python", type=Path, required=True, help="that has LeRobot and the plugin")
     parser.add_argument("--seconds", type=float, default=20.0)
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name, broker(Path(name)) as port:
+    with tempfile.TemporaryDirectory() as name, Broker(Path(name)) as broker:
         folder = Path(name)
         calibration_file.save(folder / "cal.npz", make_calibration())
-        (folder / "config.yaml").write_text(SETTINGS.format(sensor_id=SENSOR_ID, port=port))
+        (folder / "config.yaml").write_text(SETTINGS.format(sensor_id=SENSOR_ID, port=broker.port))
         command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(folder / "config.yaml")]
         daemon = subprocess.Popen(command)
         try:
-            words = [str(args.python), str(RECORD), f"127.0.0.1:{port}", SENSOR_ID, "--root", str(folder / "touch")]
-            words += ["--seconds", str(args.seconds)]
+            words = [str(args.python), str(RECORD), f"127.0.0.1:{broker.port}", SENSOR_ID]
+            words += ["--root", str(folder / "touch"), "--seconds", str(args.seconds)]
             return subprocess.run(words, check=False).returncode
         finally:
             daemon.send_signal(signal.SIGTERM)

@@ -38,7 +38,7 @@ from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import undeformed
 from tacshade_edge.studies.tables import markdown
 from tools.examples.servo.picture import draw
-from tools.testbed.daemon_rig import broker
+from tools.testbed.mqtt_rig import Broker
 from tools.testbed.servo.skins import MODEL
 from tools.testbed.servo.world import Scene, scene
 
@@ -129,9 +129,9 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m tools.testbed.servo.rpicam_vid "$@"\n')
     program.chmod(0o755)
     path = f"{folder}:{os.environ['PATH']}"
-    with broker(folder) as port:
+    with Broker(folder) as broker:
         config = folder / "config.yaml"
-        config.write_text(_SETTINGS.format(calibration=calibration, model=MODEL, port=port))
+        config.write_text(_SETTINGS.format(calibration=calibration, model=MODEL, port=broker.port))
         words = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
         daemon = subprocess.Popen(
             words, env=os.environ | {"SERVO": json.dumps(told), "PATH": path}, stderr=subprocess.DEVNULL
@@ -142,7 +142,7 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
                 if daemon.poll() is not None or time.monotonic() > end_s:
                     raise SystemExit("found no frame of the daemon's camera within 60 s")
                 threading.Event().wait(0.1)
-            yield port, robot
+            yield broker.port, robot
         finally:
             daemon.send_signal(signal.SIGTERM)
             daemon.wait()
