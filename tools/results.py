@@ -344,22 +344,13 @@ The rows repeat `contact` of [the daemon](daemon.md) with the profile `fast`: wi
         idle=True,
     ),
     "arm": Page(
-        "On a board's processor, emulated",
-        """\
-The program runs on QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of
-`systemd/requirements.lock`. "Other" compares with the same frames on the machine below. Instruction counts are exact.
-Times are estimated from these counts, with such processors' rates for scalar code that waits and for vector code, and
-are right within a factor of two. No board was measured.""",
-        ("tools.ci.run_arm",),
-        (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/rig/arm64.py"),
-    ),
-    "arm-frame": Page(
-        "Instructions of a frame on a board's processor, emulated",
+        "A frame on a board's processor, emulated",
         """\
 A 640x480 frame with a contact that covers a fifth of the disc runs on QEMU's model of a Pi 5's processor, with Debian's
 Python 3.11. `gate` covers everything up to the contact gate (without contact: for a skin judged before), `depth`
-includes objects and cloud, `encode` all payloads, `publish` the broker's client. Instruction counts are exact; times
-are estimated from these counts and right within a factor of two, as on [the other page](arm.md).""",
+includes objects and cloud, `encode` all payloads, `publish` the broker's client. Instruction counts are exact.
+Times are estimated from these counts, with such processors' rates for scalar code that waits and for vector code, and
+are right within a factor of two. No board was measured.""",
         ("tools.ci.run_arm", "--count-only"),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/ci/run_arm.py", "tools/rig/arm64.py"),
     ),
@@ -370,24 +361,6 @@ Each row shows one fault of a working daemon, with a separate process, a real mo
 "Detected" is the time in seconds from the fault to the daemon's report, "recovered" from the fault's end until the
 daemon works again. [Reliability](../explanation/reliability.md) states what the daemon promises.""",
         ("tools.faults", "table"),
-        FAULTS,
-    ),
-    "faults-kills": Page(
-        "kill -9 at random moments",
-        """\
-One daemon after another works on the same files at the highest request rate. Each is killed 0 to 3 s after its first
-frame, and the next continues. After each kill, the test looks for everything that the daemon acknowledged.""",
-        ("tools.faults", "kills"),
-        FAULTS,
-    ),
-    "faults-soak": Page(
-        "A long run in which something is always wrong",
-        """\
-One command runs five fingers at 10 images a second each, two of them pressed. Both bridges serve a scraper, a viewer,
-and a viewer that reads nothing; the fingers record in turn; a robot fills one session after another; the broker
-restarts once a minute. The memory change runs from the minimum of the first half after 900 s to the minimum of the
-second.""",
-        ("tools.faults", "soak", "--seconds", "3600"),
         FAULTS,
     ),
 }

@@ -23,15 +23,4 @@ def faults() -> Claims:
     yield "uses a new calibration within 2 s"
 
 
-def faults_of_thousands() -> Claims:
-    yield f"[{int(Page('faults-damaged').cell('fed', 'all')):,} damaged inputs]".replace(",", " ")
-    words = Page("faults-words")
-    assert sum(int(words.cell("count", what)) for what in ("in process", "serial lines")) == 1_000_000
-    yield "[a million requests and serial lines]"
-    yield f"[kill -9, {Page('faults-kills').cell('kills', 'all')} times]"
-
-
-CLAIMS = (
-    pytest.param("docs/explanation/reliability.md", faults, id="faults"),
-    pytest.param("docs/explanation/reliability.md", faults_of_thousands, id="faults_of_thousands"),
-)
+CLAIMS = (pytest.param("docs/explanation/reliability.md", faults, id="faults"),)
