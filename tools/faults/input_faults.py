@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import cv2
@@ -47,9 +48,10 @@ def unplugged(cell: Cell) -> Seen:
 def restarts(cell: Cell) -> Seen:
     """Its clock begins anew."""
     robot = _robot(cell, Faults(reboot_s=6.0))
+    cell.mark()
     boots = robot.told.boots
     cell.until(lambda: robot.told.boots > boots, 20, "a reboot")
-    since_s = cell.mark()
+    since_s = time.monotonic()
     detected_s = cell.told("the robot sent a greeting", since_s)
     recovered_s = cell.told("sync two-way", since_s)
     return Seen("poses until the clocks agree again", "log, `status/serial`", detected_s, recovered_s)
