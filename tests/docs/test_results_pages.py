@@ -19,8 +19,6 @@ TEXTS = sorted(
 )
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 """git fills the file in when it makes an archive, which has no history. Any other tree without one fails."""
-AWAITED: set[str] = set()
-"""Pages whose commit is not in the history: each leaves this list when it is made again."""
 OF_A_MACHINE = re.compile(r"(?<![\w.>)~/])/(?:home|root|tmp|work|mnt|Users)/(?!printer\b)[\w.-]+")
 """`/tmp/printer` is where Klipper's own documentation has its port."""
 
@@ -28,16 +26,11 @@ OF_A_MACHINE = re.compile(r"(?<![\w.>)~/])/(?:home|root|tmp|work|mnt|Users)/(?!p
 @pytest.mark.skipif(ARCHIVED, reason="an archive has no history")
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_names_a_commit_of_the_history(name: str) -> None:
-    text = (ROOT / "docs" / "results" / f"{name}.md").read_text(encoding="utf-8")
-    commit = results.named_commit(text)
-    assert commit, f"docs/results/{name}.md names no commit, or one with changes that were not committed"
-    stands = results.is_in_history(commit)
-    assert stands != (name in AWAITED), f"docs/results/{name}.md names {commit}: in the history: {stands}"
-
-
-def test_pages_that_are_awaited_are_there() -> None:
-    assert AWAITED.issubset(PAGES)
+def test_a_page_names_commits_of_the_history(name: str) -> None:
+    named = results.commits_of(name)
+    assert named, f"docs/results/{name}.md names no commit, or one with changes that were not committed"
+    for commit in named:
+        results.git("merge-base", "--is-ancestor", commit, "HEAD")
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -48,10 +41,3 @@ def test_no_text_has_a_path_of_a_machine(path: Path) -> None:
 @pytest.mark.parametrize("line", ["/tmp/w/ci3/.rig/a.deb: 131 MB", "at /root/x", "`/home/me/a.npz`", "(/mnt/tree)"])
 def test_a_path_of_a_machine_is_seen(line: str) -> None:
     assert OF_A_MACHINE.search(line)
-
-
-def test_the_list_of_pages_is_that_of_the_pages_that_are_there() -> None:
-    text = (ROOT / "docs" / "results" / "README.md").read_text(encoding="utf-8")
-    listed, _, missing = text.partition("## Not written")
-    assert sorted(re.findall(r"^\| \[.+\]\(([\w-]+)\.md\) \|", listed, re.MULTILINE)) == PAGES
-    assert re.findall(r"^- `([\w-]+)`,", missing, re.MULTILINE) == [name for name in results.PAGES if name not in PAGES]

@@ -1,1 +1,0 @@
-"""Claims of the documents, each made from the figures of a page of docs/results."""
