@@ -285,7 +285,9 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name: str, data: st.DataO
         content = data.draw(damage(content, file.endswith((".yaml", ".csv", ".json"))))
     value, told = read(kind, {file: content})
     assert all("\n" not in line and len(line) < LINE_CHARS_MAX for line in told)
-    assert value == good or told or not kind.checked
+    # Presses that are cut off between two of them are presses that were not written yet.
+    begun = name == "session" and value is not None and value == good[: len(value)]
+    assert value == good or told or begun or not kind.checked
 
 
 @pytest.mark.slow
