@@ -54,25 +54,25 @@ PAGES = {
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
-        r"^(Each sensor, all objects|Profiles|back mm|SD sum %|IoU|worst %)$"
+        r"^(Each sensor, all objects|Profiles|back mm|SD sum %|IoU|worst %|missed)$|^worst object "
         r"|^(?!mean|worst)\w+ \| (paper|fast|balanced) ",
         drawn=("figure6.png",),
     ),
     "drag": Page(
         {"": "tools.studies.drag --final"},
-        r"^(frames|refused|IoU|95 %)$|^\d.* \| (fast|balanced) ",
+        r"^(frames|missed|refused|IoU|SD %|95 %)$|^\d.* \| (fast|balanced) ",
         drawn=("drag.png",),
     ),
     "sigma": Page(
         {"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"},
-        r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(2.75|4.5) mm deep",
+        r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0 mm|2 mm|2.75 mm|4.5 mm) ",
         drawn=("sigma.png",),
     ),
     "limits": Page(
         {"": "tools.studies.limits"},
-        r"^(silent ones|frames|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm|pitch (1\.6|2|2\.2))$"
-        r"|radius 9|^cylinder|half the dip|^(nothing|light|one side|warm-up|noise|moved by 1 px \| \w+ \| 126)"
-        r"|^beyond.*(accurate|balanced)",
+        r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm)$"
+        r"|^pitch (1\.6|2|2\.2)$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
+        r"|^(nothing|light|one side|warm-up|noise|after a release|(glare spot|moved by 1 px) \| \w+ \| 126)",
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "tradeoff": Page(
@@ -102,9 +102,9 @@ PAGES = {
         drawn=("servo.png",),
         own=("tools/examples/servo",),
     ),
-    "touch": Page({"": "tools.studies.touch out/real/tactile_data_shear"}, r"^learning, s$| \| random "),
+    "touch": Page({"": "tools.studies.touch out/real/tactile_data_shear"}, r"^(learning, s|split)$| \| random "),
     "fit": Page({"": "tools.studies.fit --folder out/fit"}, own=("tacshade_edge/fitting",)),
-    "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$", own=("tools/ci",)),
+    "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
     "faults": Page(
         {"": "tools.faults table"},
         r"^told where$|^(connection reset|something else|wrong|a subscriber|an answer|recordings read|an open session)"
