@@ -55,7 +55,7 @@ PAGES = {
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
         r"^(Each sensor, all objects|Profiles|back mm|SD sum %|IoU|worst %|missed)$|^worst object "
-        r"|^(?!mean|worst)\w+ \| (paper|fast|balanced) ",
+        r"|^(?!mean)\w+ \| (paper|fast|balanced|Table I) ",
         drawn=("figure6.png",),
     ),
     "drag": Page(
@@ -71,8 +71,9 @@ PAGES = {
     "limits": Page(
         {"": "tools.studies.limits"},
         r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm)$"
-        r"|^pitch (1\.6|2|2\.2)$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
-        r"|^(nothing|light|one side|warm-up|noise|after a release|(glare spot|moved by 1 px) \| \w+ \| 126)",
+        r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
+        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a release)"
+        r"|^(glare spot|moved by 1 px) \| \w+ \| 126",
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "tradeoff": Page(
@@ -93,12 +94,12 @@ PAGES = {
             "Near-binary pictures": f"{REAL} binary out/real/tactip-cnn-bayes",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
         },
-        r"shear, no map|depth by volume|shear, by tilt|^why$",
+        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(early|never|deepest dent mm)$|^all "),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
-        r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) ",
+        r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) |^5 ",
         drawn=("servo.png",),
         own=("tools/examples/servo",),
     ),
@@ -108,7 +109,7 @@ PAGES = {
     "faults": Page(
         {"": "tools.faults table"},
         r"^told where$|^(connection reset|something else|wrong|a subscriber|an answer|recordings read|an open session)"
-        r"|^(SIGTERM|500 MB|12 open|two daemons)",
+        r"|^(SIGTERM|500 MB|12 open|two daemons|broker (absent|takes)|a second daemon, same ser|no calibration)",
         own=("tacshade_edge/daemon",),
     ),
 }
