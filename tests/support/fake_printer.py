@@ -1,4 +1,4 @@
-"""A 3-D printer on a pty that answers like Marlin. Its head presses the simulated sensor through a file.
+"""A 3-D printer on a pty that answers as its firmware does. Its head presses the simulated sensor through a file.
 
 It has the faults of real printers: answers that arrive byte by byte with temperatures in between, a board that restarts
 at the first command, damaged lines, lost answers, lost steps, a halt, another program's limits.
@@ -24,6 +24,76 @@ from tools.testbed.patience import wait_until
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
 _BOOT_S = 0.3
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What a firmware answers, as its source or documentation has it.
+
+    Attributes
+    ----------
+    name : str
+    about, position : str
+        Whole answers to M115 and M114, with their ok; `position` is a format of x, y and z.
+    boots : bool
+        Opening the port restarts the board.
+    m84_releases : bool
+        M84 with any parameter switches the motors off and forgets homing.
+    unhomed : str
+        Answer to a move before homing; empty if it moves.
+    """
+
+    name: str
+    about: str
+    position: str = "X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:{x:.0f} Y:{y:.0f} Z:{z:.0f}\nok"
+    boots: bool = False
+    m84_releases: bool = True
+    unhomed: str = ""
+
+
+MARLIN = Dialect(
+    "Marlin",
+    "FIRMWARE_NAME:Marlin 2.1.2 (Jan  1 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin "
+    "PROTOCOL_VERSION:1.0 MACHINE_TYPE:fake EXTRUDER_COUNT:1\nCap:EEPROM:1\nCap:AUTOREPORT_TEMP:1\nok",
+    boots=True,
+    m84_releases=False,
+)
+PRUSA = Dialect(
+    "Prusa",
+    "FIRMWARE_NAME:Prusa-Firmware 3.13.3 based on Marlin FIRMWARE_URL:https://github.com/prusa3d/Prusa-Firmware "
+    "PROTOCOL_VERSION:1.0 MACHINE_TYPE:Prusa i3 MK3S EXTRUDER_COUNT:1\nok",
+    "X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X: {x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00\nok",
+    boots=True,
+    m84_releases=False,
+)
+PRUSA_BUDDY = Dialect(
+    "Prusa-Buddy",
+    "FIRMWARE_NAME:Prusa-Firmware-Buddy 5.1.2 (Github) SOURCE_CODE_URL:https://github.com/prusa3d/Prusa-Firmware-Buddy "
+    "PROTOCOL_VERSION:1.0 MACHINE_TYPE:Prusa-XL EXTRUDER_COUNT:1\nCap:BINARY_FILE_TRANSFER:0\nok",
+    "X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count A:{x:.0f} B:{y:.0f} Z:{z:.0f}\nok",
+    m84_releases=False,
+)
+KLIPPER = Dialect(
+    "Klipper",
+    "ok FIRMWARE_NAME:Klipper FIRMWARE_VERSION:v0.12.0-1-g0",
+    "X:{x:.3f} Y:{y:.3f} Z:{z:.3f} E:0.000\nok",
+    unhomed="!! Must home axis first: {x:.3f} {y:.3f} {z:.3f} [0.000]\nok",
+)
+REPRAPFIRMWARE = Dialect(
+    "RepRapFirmware",
+    "FIRMWARE_NAME: RepRapFirmware for Duet 2 WiFi/Ethernet FIRMWARE_VERSION: 3.5.1 ELECTRONICS: Duet WiFi 1.02 "
+    "FIRMWARE_DATE: 2024-04-19\nok",
+    "X:{x:.3f} Y:{y:.3f} Z:{z:.3f} E:0.000 E0:0.0 Count 800 1600 2000 Machine {x:.3f} {y:.3f} {z:.3f} "
+    "Bed comp 0.000\nok",
+    unhomed="Error: G0/G1: insufficient axes homed\nok",
+)
+SMOOTHIEWARE = Dialect(
+    "Smoothieware",
+    "FIRMWARE_NAME:Smoothieware, FIRMWARE_URL:http%3A//smoothieware.org, FIRMWARE_VERSION:edge-9d5a, "
+    "PROTOCOL_VERSION:1.0, X-FIRMWARE_BUILD_DATE:Jan 1 2024, X-AXES:3\nok",
+    "ok C: X:{x:.4f} Y:{y:.4f} Z:{z:.4f} E:0.0000",
+)
+ONE_DECIMAL = Dialect("one decimal", "FIRMWARE_NAME:Own\nok", "X:{x:.1f} Y:{y:.1f} Z:{z:.1f} E:0.0\nok")
 
 
 @dataclass
@@ -91,7 +161,8 @@ class FakePrinter:
     sensor: Sensor = field(default_factory=Sensor)
     faults: Faults = field(default_factory=Faults)
     mounted: Mounted = field(default_factory=Mounted)
-    firmware: str = "Marlin 2.1.2"
+    dialect: Dialect = MARLIN
+    is_homed: bool = False
     pace: float = 0.0
     port: str = ""
     moves: list[tuple[float, float, float]] = field(default_factory=list)
@@ -106,8 +177,7 @@ class FakePrinter:
         self._place = [0.0, 0.0, 0.0]
         self._last = 0
         self._motion_s = 0.0
-        self._booted = False
-        self._is_homed = False
+        self._booted = not self.dialect.boots
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="printer", daemon=True)
         self.press()
@@ -133,7 +203,7 @@ class FakePrinter:
 
     def wait_until_below(self, z_mm: float) -> None:
         """Wait until a command sends the head lower, after it was homed and at its start."""
-        wait_until(lambda: self._is_homed and len(self.moves) > 40 and self.moves[-1][2] < z_mm, 60, f"z under {z_mm}")
+        wait_until(lambda: self.is_homed and len(self.moves) > 40 and self.moves[-1][2] < z_mm, 60, f"z under {z_mm}")
 
     def press(self) -> None:
         """Write the press of the sensor at the head's true place."""
@@ -145,7 +215,7 @@ class FakePrinter:
         u, v = dx * math.cos(angle) - dy * math.sin(angle), dx * math.sin(angle) + dy * math.cos(angle)
         r = self.sensor.skin_radius_mm
         row = ""
-        if self._is_homed and math.hypot(u, v) < 0.9 * r:
+        if self.is_homed and math.hypot(u, v) < 0.9 * r:
             depth = math.sqrt(r * r - u * u - v * v) - (z - self.mounted.lower_mm - self.sensor.tip_z_mm + r)
             if depth > -8:  # wide things touch beside where their lowest point is
                 yaw = "" if self.mounted.indenter == "ball" else f"{-self.sensor.yaw_deg}"
@@ -176,7 +246,7 @@ class FakePrinter:
         self._booted = True
         self._last = 0
         self._place = [0.0, 0.0, 0.0]
-        self._say("start", "echo: External Reset", f"{self.firmware}", "echo:SD card ok")
+        self._say("start", "echo: External Reset", self.dialect.name, "echo:SD card ok")
 
     def _take(self, line: bytes) -> None:
         if not line.strip() or self.halted:
@@ -210,29 +280,33 @@ class FakePrinter:
         if count == self.faults.error:
             self._say("Error:MAXTEMP triggered, system stopped!")
             return
-        words = dict(_WORD.findall(command))
+        x, y, z = self._place
+        answer = "ok"
         match command.split()[0]:
             case "G28":
                 self._say("echo:busy: processing")
                 self._wait(8.0)
-                self._place, self._is_homed = [0.0, 0.0, 0.0], True
+                self._place, self.is_homed = [0.0, 0.0, 0.0], True
                 self._say("X:0.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0")
+            case "G1" if self.dialect.unhomed and not self.is_homed:
+                answer = self.dialect.unhomed.format(x=x, y=y, z=z)
             case "G1":
-                self._move(words)
+                self._move(dict(_WORD.findall(command)))
             case "M400":
                 self._wait(self._motion_s)
                 self._motion_s = 0.0
             case "M114":
-                x, y, z = self._place
-                self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:{80 * x:.0f} Y:{80 * y:.0f} Z:{400 * z:.0f}")
+                answer = self.dialect.position.format(x=x, y=y, z=z)
             case "M115":
-                self._say(f"FIRMWARE_NAME:{self.firmware} SOURCE_CODE_URL:github.com MACHINE_TYPE:fake")
+                answer = self.dialect.about
+            case "M84" if self.dialect.m84_releases:
+                self.is_homed = False
         if self.halted:
             return
         if count % 5 == 0:
             self._say(" T:21.44 /0.00 B:21.20 /0.00 @:0 B@:0")
         if count != self.faults.lost_answer:
-            self._say("ok")
+            self._say(*answer.splitlines())
 
     def _move(self, words: dict[str, str]) -> None:
         to = [float(words[axis]) for axis in "XYZ"]

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from support.fake_printer import FakePrinter, Faults
+from hypothesis import given
+from hypothesis import strategies as st
+from support import fake_printer
+from support.fake_printer import Dialect, FakePrinter
 
-from tacshade_edge.capture.printer.head import Head
-from tacshade_edge.capture.printer.keypress_stop import KeypressStop
-from tacshade_edge.capture.printer.line import PrinterLine
-from tacshade_edge.capture.printer.safety_stop import SafetyStop, Stopped
+from tacshade_edge.capture.printer.head import Head, KeypressStop, PrinterLine, SafetyStop, Stopped, segments
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
@@ -42,8 +45,8 @@ class Rig:
 
 
 @contextlib.contextmanager
-def rig(folder: Path, faults: Faults | None = None, firmware: str = "Marlin 2.1.2") -> Iterator[Rig]:
-    with FakePrinter(folder / "hand.csv", faults=faults or Faults(), firmware=firmware) as printer:
+def rig(folder: Path, dialect: Dialect = fake_printer.MARLIN, *, is_homed: bool = False) -> Iterator[Rig]:
+    with FakePrinter(folder / "hand.csv", dialect=dialect, is_homed=is_homed) as printer:
         made = Rig(printer)
         try:
             with made.terminal.keys():
@@ -59,7 +62,7 @@ def test_from_a_board_that_restarts_to_the_start(tmp_path: Path) -> None:
         assert one.line.firmware.startswith("Marlin 2.1.2")
         assert one.line.has_restarted
         begun = one.printer.heard.index("M115")
-        assert one.printer.heard[begun - 1 : begun + 5] == ["M110 N0", "M115", "G21", "G90", "M84 S0", "G28"]
+        assert one.printer.heard[begun - 1 : begun + 6] == ["M110 N0", "M115", "M114", "G21", "G90", "M84 S0", "G28"]
         assert one.printer.moves[-1] == (110, 100, 90)
         heights = [z for x, _, z in one.printer.moves if x == 0]
         assert heights == sorted(heights)  # first up, where homing left it, in parts of half a second
@@ -70,10 +73,62 @@ def test_from_a_board_that_restarts_to_the_start(tmp_path: Path) -> None:
             one.head.over(100, 100)
 
 
-def test_klipper_homes_and_moves_too(tmp_path: Path) -> None:
-    with rig(tmp_path, firmware="Klipper v0.12.0") as one:
-        one.start()
-        assert "SET_IDLE_TIMEOUT TIMEOUT=86400" in one.printer.heard
+@pytest.mark.parametrize(
+    ("dialect", "idle"),
+    [
+        (fake_printer.PRUSA, "M84 S0"),
+        (fake_printer.PRUSA_BUDDY, "M84 S0"),
+        (fake_printer.KLIPPER, "SET_IDLE_TIMEOUT TIMEOUT=86400"),
+        (fake_printer.REPRAPFIRMWARE, None),
+        (fake_printer.SMOOTHIEWARE, None),
+        (fake_printer.ONE_DECIMAL, None),
+    ],
+    ids=lambda value: value.name if isinstance(value, Dialect) else "",
+)
+@pytest.mark.parametrize("home", [True, False])
+def test_every_firmware_keeps_its_motors_on_and_moves(
+    tmp_path: Path, dialect: Dialect, idle: str | None, home: bool
+) -> None:
+    with rig(tmp_path, dialect, is_homed=not home) as one:
+        one.line.connect()
+        one.head.prepare(home=home)
+        one.head.to_start()
+        for z in (85.333, 85.283, 90.0):  # a step of a search
+            one.head.to(z)
+        one.head.over(101.337, 99.949)
+        assert one.printer.is_homed
+        assert [c for c in one.printer.heard if c.startswith(("M18", "M84", "SET"))] == ([idle] if idle else [])
+        one.printer.faults.highest_mm = 90.5
+        with pytest.raises(SafetyStop, match=r"reports the head's position as"):
+            one.head.to(91.0)
+
+
+def test_a_printer_that_is_not_homed_is_quoted(tmp_path: Path) -> None:
+    with rig(tmp_path, fake_printer.KLIPPER) as one:
+        one.line.connect()
+        one.head.prepare(home=False)
+        with pytest.raises(SafetyStop, match=r"G1 .*!! Must home axis first"):
+            one.head.to_start()
+
+
+@pytest.mark.parametrize(
+    ("position", "found"),
+    [
+        ("X:{x:.0f} Y:{y:.0f} Z:{z:.0f} E:0\nok", r"'X:0 Y:0 Z:0 E:0'"),
+        ("<Idle|MPos:{x:.3f},{y:.3f},{z:.3f}|FS:0,0>\nok", r"'<Idle\|MPos:0.000,0.000,0.000\|FS:0,0>'"),
+        ("ok N5 P15 B3", r"'N5 P15 B3'"),
+        ("ok", "nothing but ok"),
+    ],
+)
+def test_a_position_that_cannot_be_read_ends_it_before_anything_moves(
+    tmp_path: Path, position: str, found: str
+) -> None:
+    with rig(tmp_path, Dialect("any", "FIRMWARE_NAME:any\nok", position)) as one:
+        one.line.connect()
+        with pytest.raises(SafetyStop, match=f"the printer's answer to M114: found {found}, expected X, Y and Z in mm"):
+            one.head.prepare(home=True)
+        assert not one.head.was_moved
+        assert "G28" not in one.printer.heard
 
 
 @pytest.mark.parametrize("to", [(230.0, 100.0), (100.0, -1.0), (float("nan"), 100.0)])
@@ -164,3 +219,11 @@ def test_a_halted_printer_and_a_pulled_cable(tmp_path: Path) -> None:
         with pytest.raises(DeviceError, match=r"unplugged|is not accepting data on the serial line"):
             one.head.to(89)
         assert "switch the printer off" in one.line.emergency_stop()
+
+
+@given(st.lists(st.floats(-200, 200), min_size=6, max_size=6), st.floats(0.5, 50))
+def test_no_part_of_a_move_is_longer(places: list[float], longest_mm: float) -> None:
+    start, end = np.array(places[:3]), np.array(places[3:])
+    parts = segments(start, end, longest_mm)
+    assert np.array_equal(parts[-1], end)
+    assert all(math.dist(a, b) <= longest_mm + 1e-6 for a, b in itertools.pairwise((start, *parts)))

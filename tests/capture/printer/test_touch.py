@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -10,16 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.fake_printer import FakePrinter, Faults, Sensor
 
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
-from tacshade_edge.capture.printer.contact_detector import ContactDetector
-from tacshade_edge.capture.printer.head import Head
-from tacshade_edge.capture.printer.keypress_stop import KeypressStop
-from tacshade_edge.capture.printer.line import PrinterLine
-from tacshade_edge.capture.printer.safety_stop import SafetyStop
-from tacshade_edge.capture.printer.touch import Touch
+from tacshade_edge.capture.printer.head import Head, KeypressStop, PrinterLine, SafetyStop
+from tacshade_edge.capture.printer.touch import ContactDetector, Expected, Touch, descent, search
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor as Stated
@@ -126,3 +125,38 @@ def test_a_camera_that_cannot_be_believed(tmp_path: Path, check: PressCheck) -> 
         camera.change = lambda frame: Frame(frame.seq, frame.t_ns, frame.wall_ns, np.roll(frame.image, 25, axis=1))
         with pytest.raises(SafetyStop, match=r"since the references|is unusable"):
             one.detector.look()
+
+
+HEIGHT = st.floats(-200, 200)
+
+
+@given(HEIGHT, HEIGHT, st.floats(0, 40))
+def test_a_descent_goes_down_to_its_end_and_never_below_it(from_z: float, touch_z: float, lower: float) -> None:
+    to_z = from_z - lower
+    steps = list(descent(from_z, touch_z, to_z))
+    heights = [from_z, *(step.z_mm for step in steps)]
+    assert all(before > after for before, after in itertools.pairwise(heights))
+    assert heights[-1] == (to_z if lower else from_z)
+    for before, step in zip(heights, steps, strict=False):
+        short = step.z_mm < touch_z + 1
+        assert before - step.z_mm <= (0.5 if short else 2.0) + 1e-9
+
+
+def test_what_is_seen_must_fit_the_place() -> None:
+    expected = {step.z_mm: step.expected for step in descent(14.0, 10.0, 8.5)}
+    assert expected == {
+        12.0: Expected.FREE,
+        11.0: Expected.FREE,
+        10.5: Expected.FREE,
+        10.0: Expected.ANYTHING,
+        9.5: Expected.ANYTHING,
+        9.0: Expected.TOUCHED,
+        8.5: Expected.TOUCHED,
+    }
+
+
+@given(HEIGHT, HEIGHT, st.floats(0.05, 2))
+def test_a_search_ends_above_the_least(from_z: float, least_z: float, step_mm: float) -> None:
+    heights = [from_z, *search(from_z, least_z, step_mm)]
+    assert all(z >= least_z - 1e-9 for z in heights[1:])
+    assert all(0 < before - after <= step_mm + 1e-9 for before, after in itertools.pairwise(heights))

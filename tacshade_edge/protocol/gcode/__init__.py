@@ -1,1 +1,0 @@
-"""G-code on a serial line, as Marlin and Klipper understand it."""
