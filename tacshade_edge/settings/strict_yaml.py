@@ -1,9 +1,10 @@
-"""YAML without surprises: unique string keys, plain finite values, no aliases or tags, and a line for every key."""
+"""YAML without surprises: unique string keys, plain decimal numbers, no aliases or tags, and a line for every key."""
 
 from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from tacshade_edge.regular_files import read_regular
 
 Key = tuple[str, ...]
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
+_NUMBERS = {f"tag:yaml.org,2002:{name}" for name in ("int", "float")}
+_DECIMAL = re.compile(r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _BYTES_MAX = 1 << 20
 _VALUES_MAX = 10_000  # the reader needs about a third of a second for them
 
@@ -146,6 +149,10 @@ class _Reader:
             value = self._loader.construct_object(node)
         except ValueError:
             raise self._wrong(line, key, f"found {text}, expected a plain value") from None
+        if node.style is None and _DECIMAL.fullmatch(node.value):
+            value = value if isinstance(value, int) else float(node.value)  # YAML 1.1 reads 3e1 as text
+        elif node.tag in _NUMBERS and not (isinstance(value, float) and not math.isfinite(value)):
+            raise self._wrong(line, key, f"found {text}, which YAML reads as {value}, expected a plain decimal number")
         if isinstance(value, float) and not math.isfinite(value):
             raise self._wrong(line, key, f"found {text}, expected a finite number")
         return value
