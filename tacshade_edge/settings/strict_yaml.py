@@ -149,10 +149,11 @@ class _Reader:
             value = self._loader.construct_object(node)
         except ValueError:
             raise self._wrong(line, key, f"found {text}, expected a plain value") from None
-        if node.style is None and _DECIMAL.fullmatch(node.value):
+        if isinstance(node, yaml.ScalarNode) and node.style is None and _DECIMAL.fullmatch(node.value):
             value = value if isinstance(value, int) else float(node.value)  # YAML 1.1 reads 3e1 as text
         elif node.tag in _NUMBERS and not (isinstance(value, float) and not math.isfinite(value)):
-            raise self._wrong(line, key, f"found {text}, which YAML reads as {value}, expected a plain decimal number")
+            expected = "expected a plain decimal number, or quotes around text"
+            raise self._wrong(line, key, f"found {text}, which YAML reads as {value}, {expected}")
         if isinstance(value, float) and not math.isfinite(value):
             raise self._wrong(line, key, f"found {text}, expected a finite number")
         return value

@@ -60,7 +60,7 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("mqtt:\n", ":1: mqtt: found nothing, expected a mapping"),
         ("\nsensor_id: a b\n", ":2: sensor_id: found a b, expected a string (letters, digits, - and _"),
         ("sensor_id: hand\n", ":1: sensor_id: found hand, expected a string (letters, digits, - and _, not `hand`"),
-        ("sensor_id: 007\n", ":1: sensor_id: found 007, expected a string"),
+        ("sensor_id: 007\n", ":1: sensor_id: found 007, which YAML reads as 7"),
         ("profile: slow\n", ":1: profile: found slow, expected one of paper, fast, balanced, accurate"),
         ("profile: 1\n", ":1: profile: found 1, expected one of paper, fast, balanced, accurate"),
         ("source:\n  kind: usb\n", ":2: source.kind: found usb, expected one of"),

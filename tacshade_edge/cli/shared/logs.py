@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import logging
 import os
+import re
 import sys
 import time
 from dataclasses import dataclass
@@ -20,9 +21,16 @@ from tacshade_edge.quoting import escaped
 
 AT_ONCE: Final = 10
 PERIOD_S: Final = 10.0
-"""Limit on one kind of message: AT_ONCE in a burst, then one per PERIOD_S."""
+"""Limit on what says the same but for its numbers: AT_ONCE in a burst, then one per PERIOD_S."""
 
-_KINDS_MAX: Final = 256
+_TEXTS_MAX: Final = 16
+"""Texts of one format that are told apart; what more it says counts as one."""
+_FORMATS_MAX: Final = 256
+_TEXT_CHARS_MAX: Final = 200
+_NUMBER: Final = re.compile(r"(?<![\w/.:-])\d+(?:\.\d+)?(?![\w/:-]|\.\d)")
+
+Text = tuple[str, str, str]
+"""A logger's name, the format of a message, and what it says."""
 
 
 def add_verbosity(parser: argparse.ArgumentParser) -> None:
@@ -64,32 +72,42 @@ class Limit:
     """Decides which messages are too many. Not thread-safe: its handler's lock guards it."""
 
     def __init__(self) -> None:
-        self._kinds: dict[tuple[str, str], _Kind] = {}
+        self._formats: dict[tuple[str, str], dict[str, _Kind]] = {}
 
-    def passes(self, kind: tuple[str, str], now_s: float) -> bool:
-        """Whether to log one more message of a kind; if not, count it as left out."""
-        if kind not in self._kinds and len(self._kinds) >= _KINDS_MAX:
-            kind = kind[0], ""
-        state = self._kinds.setdefault(kind, _Kind(AT_ONCE, now_s))
-        state.free = min(AT_ONCE, state.free + (now_s - state.at_s) / PERIOD_S)
-        state.at_s = now_s
+    def passes(self, text: Text, now_s: float) -> bool:
+        """Whether to log one more message that says this; if not, count it as left out."""
+        name, form, said = text
+        if (name, form) not in self._formats and len(self._formats) >= _FORMATS_MAX:
+            form = said = ""
+        kinds = self._formats.setdefault((name, form), {})
+        if said not in kinds and len(kinds) >= _TEXTS_MAX:
+            for quiet in [key for key, state in kinds.items() if not state.left_out and _free(state, now_s) >= AT_ONCE]:
+                del kinds[quiet]
+            said = form if len(kinds) >= _TEXTS_MAX else said
+        state = kinds.setdefault(said, _Kind(AT_ONCE, now_s))
+        state.free, state.at_s = min(AT_ONCE, _free(state, now_s)), now_s
         if state.free < 1:
             state.left_out += 1
             return False
         state.free -= 1
         return True
 
-    def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[tuple[str, str], int]]:
-        """Return and reset the counts of left-out messages: of all kinds, or of those that would now pass again."""
+    def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
+        """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
         over = [
-            (kind, state)
-            for kind, state in self._kinds.items()
-            if state.left_out and (all_of_them or state.free + (now_s - state.at_s) / PERIOD_S >= 1)
+            (name, said, state)
+            for (name, _), kinds in self._formats.items()
+            for said, state in kinds.items()
+            if state.left_out and (all_of_them or _free(state, now_s) >= 1)
         ]
-        repeated = [(kind, state.left_out) for kind, state in over]
-        for _, state in over:
+        counts = [(name, said, state.left_out) for name, said, state in over]
+        for _, _, state in over:
             state.left_out = 0
-        return repeated
+        return counts
+
+
+def _free(state: _Kind, now_s: float) -> float:
+    return state.free + (now_s - state.at_s) / PERIOD_S
 
 
 class OneLineHandler(logging.StreamHandler[TextIO]):
@@ -113,7 +131,7 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         """Write a message, or count it as left out."""
         now_s = time.monotonic()
         self._report(now_s)
-        if self._limit.passes((record.name, str(record.msg)), now_s):
+        if self._limit.passes(_text(record), now_s):
             super().emit(record)
 
     def close(self) -> None:
@@ -122,9 +140,15 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         super().close()
 
     def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
-        for (name, message), count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
+        for name, message, count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
             text = "left out %d more lines like this: %s"
             super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))
+
+
+def _text(record: logging.LogRecord) -> Text:
+    """What a message says, with # for a number that stands alone, as counts and measurements do."""
+    said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])
+    return record.name, str(record.msg), said
 
 
 class _Escaping(logging.Formatter):

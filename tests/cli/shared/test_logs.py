@@ -54,22 +54,50 @@ def test_a_flood_is_counted_and_hides_nothing(written: tuple[logging.Logger, One
     logger.info("another")
     assert len(stream.getvalue().splitlines()) == AT_ONCE + 1
     handler.close()
-    told = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/%s refused: %d"
+    told = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/profile refused: #"
     assert stream.getvalue().splitlines()[-1] == told
 
 
+def test_a_fault_is_not_hidden_by_another_of_the_same_format(
+    written: tuple[logging.Logger, OneLineHandler, io.StringIO],
+) -> None:
+    logger, handler, stream = written
+    faults = [
+        "/dev/video0: unplugged",
+        "/dev/video2: unplugged",
+        "disk full",
+        "cannot reach 10.0.0.1",
+        "cannot reach 10.0.0.2",
+    ]
+    for fault in faults:
+        for _ in range(20):
+            logger.warning("%s", fault)
+    lines = stream.getvalue().splitlines()
+    assert [lines.count(f"WARNING test: {fault}") for fault in faults] == [AT_ONCE] * len(faults)
+    handler.close()
+    left_out = [f"WARNING test: left out 10 more lines like this: {fault}" for fault in faults]
+    assert stream.getvalue().splitlines()[len(lines) :] == left_out
+
+
+def test_texts_without_end_are_bounded_and_hide_no_other_format() -> None:
+    limit = Limit()
+    assert sum(limit.passes(("a", "%s", f"x{k}"), 0.0) for k in range(10_000)) == 16 + AT_ONCE
+    assert limit.passes(("a", "another %s", "another"), 0.0)
+    assert limit.passes(("a", "%s", "later"), 2 * PERIOD_S)  # the texts that were quiet meanwhile are forgotten
+    for k in range(10_000):  # formats that are made, each another
+        limit.passes(("c", str(k), str(k)), 0.0)
+    assert sum(map(len, limit._formats.values())) <= 300
+
+
 def test_how_many_pass_and_when_the_others_are_told() -> None:
-    limit, kind = Limit(), ("a", "b")
-    assert sum(limit.passes(kind, 0.0) for _ in range(100)) == AT_ONCE
+    limit, text = Limit(), ("a", "b", "c")
+    assert sum(limit.passes(text, 0.0) for _ in range(100)) == AT_ONCE
     assert limit.take_left_out(0.9 * PERIOD_S) == []
-    assert limit.take_left_out(PERIOD_S) == [(kind, 100 - AT_ONCE)]
+    assert limit.take_left_out(PERIOD_S) == [("a", "c", 100 - AT_ONCE)]
     assert limit.take_left_out(PERIOD_S) == []
-    assert limit.passes(kind, PERIOD_S)
-    assert not limit.passes(kind, 1.9 * PERIOD_S)
-    assert sum(limit.passes(kind, 100 * PERIOD_S) for _ in range(100)) == AT_ONCE
-    for number in range(10_000):  # of messages that are made, each another
-        limit.passes(("c", str(number)), 0.0)
-    assert len(limit._kinds) <= 258
+    assert limit.passes(text, PERIOD_S)
+    assert not limit.passes(text, 1.9 * PERIOD_S)
+    assert sum(limit.passes(text, 100 * PERIOD_S) for _ in range(100)) == AT_ONCE
 
 
 LOGS = """
