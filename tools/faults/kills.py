@@ -1,7 +1,7 @@
 """kill -9 at random moments: nothing acknowledged is lost, and every file has either its old or its new state.
 
 One daemon after another works on the same files: it records, takes presses, renews its reference and reloads its
-settings until it is killed. `tacshade-edge calibrate` is killed while it makes a new calibration.
+settings until it is killed.
 """
 
 from __future__ import annotations
@@ -10,19 +10,13 @@ import json
 import random
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import cv2
-
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.stitching.stitch_file import StitchFile, read_info
 from tools.faults.rig import BASE, Cell, frames_of, pause
@@ -158,74 +152,31 @@ class Killed:
             del self._presses[name]
 
     def _look_at_recording(self, folder: Path, frames: int) -> None:
+        read = 0
         try:
             read = len(frames_of(folder)[0])
         except TacshadeError as error:
-            read, frames = 0, frames or -1
-            if frames > 0:
+            if frames:
                 self.problems.append(f"recording {folder.name}: {error}")
         finished = self._finished.get(folder)
         if read < frames or (finished is not None and (read != finished or not (folder / "recording.json").exists())):
             self.problems.append(f"recording {folder.name}: {read} frames are there, {finished or frames} were told")
-        self.said["frames read again"] += max(read, 0)
+        self.said["frames read again"] += read
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def kill_calibrations(count: int, seed: int, doing: Counter[str]) -> list[str]:
-    """Kill `count` runs of `calibrate` over a calibration, up to just after their end; return the problems."""
-    problems = []
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        model = SensorModel()
-        (folder / "SENSOR.yaml").write_text(
-            f"skin_radius_mm: {model.skin_radius_mm}\ncamera_distance_mm: {model.camera_distance_mm}\n"
-            f"visible_half_angle_deg: {model.visible_half_angle_deg}\npolarity: bright\n"
-        )
-        for k in range(4):
-            cv2.imwrite(str(folder / f"r{k}.png"), SimulatedSensor().frame(noise_seed=k).image)
-        pairs = (("r0.png", "r1.png"), ("r2.png", "r3.png"))
-
-        def calibrate(images: tuple[str, ...]) -> subprocess.Popen[bytes]:
-            words = ("calibrate", "--sensor", "SENSOR.yaml", "--out", "c.npz", "--reference", *images)
-            command = (sys.executable, "-m", "tacshade_edge", *words)
-            return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-        crc32s, took_s = set(), []
-        for images in pairs:
-            began_s = time.monotonic()
-            _, said = (child := calibrate(images)).communicate()
-            assert child.returncode == 0, said
-            took_s.append(time.monotonic() - began_s)
-            crc32s.add(calibration_file.load(folder / "c.npz").crc32)
-        for number in range(count):
-            draw = random.Random(f"{seed}:calibrate:{number}")
-            child = calibrate(draw.choice(pairs))
-            # Half of the kills come near the end, when `calibrate` writes the file.
-            pause(draw.uniform(draw.choice((0.0, 0.7)), 1.1) * min(took_s))
-            doing["calibrate" if child.poll() is None else "calibrate, just over"] += 1
-            child.kill()
-            child.communicate()
-            try:
-                if calibration_file.load(folder / "c.npz").crc32 not in crc32s:
-                    problems.append(f"calibrate {number}: neither the old nor the new calibration")
-            except TacshadeError as error:
-                problems.append(f"calibrate {number}: {error}")
-    return problems
-
-
 def run(count: int, seed: int, longest_s: float = LONGEST_S) -> tuple[str, list[str]]:
-    """Kill `count` programs, a quarter of them `calibrate`; return a table and the problems."""
+    """Kill `count` daemons, each at most `longest_s` after its first frame; return a table and the problems."""
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         cell.serve()
         killed = Killed(cell)
-        for number in range(count - count // 4):
+        for number in range(count):
             before = len(killed.problems)
             killed.one(random.Random(f"{seed}:{number}"), longest_s)
             killed.problems[before:] = [f"kill {number}: {problem}" for problem in killed.problems[before:]]
-    problems = killed.problems + kill_calibrations(count // 4, seed, killed.doing)
     rows = ["| killed while the latest was | kills |", "|---|---:|"]
     rows += [f"| {what} | {times} |" for what, times in sorted(killed.doing.items())]
     rows += [f"| all | {killed.doing.total()} |", "", "| acknowledged, and looked for after the kill | count |"]
     rows += ["|---|---:|", *(f"| {what} | {times} |" for what, times in sorted(killed.said.items()))]
-    rows += [f"| lost, or neither old nor new | {len(problems)} |"]
-    return "\n".join(rows), problems
+    rows += [f"| lost, or neither old nor new | {len(killed.problems)} |"]
+    return "\n".join(rows), killed.problems
