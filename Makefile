@@ -65,11 +65,12 @@ deb: .venv/dev.stamp
 
 DIST ?= dist
 apt:
+	ls $(DIST)/*.deb >/dev/null  # of make deb
 	rm -rf $(DIST)/apt out/apt && mkdir -p $(DIST)/apt out/apt
 	for suite in bookworm trixie; do printf '%s\n' "Codename: $$suite" "Suite: $$suite" 'Origin: tacshade-edge' \
 	  'Label: tacshade-edge' 'Architectures: amd64 arm64' 'Components: main' 'SignWith: $(KEY)' ''; done >out/apt/distributions
 	for suite in deb12:bookworm deb13:trixie; do for deb in $(DIST)/*+$${suite%:*}_*.deb; do [ ! -e "$$deb" ] || \
-	  reprepro --silent --confdir out/apt --dbdir out/apt/db --outdir $(abspath $(DIST))/apt \
+	  reprepro --silent --confdir $(CURDIR)/out/apt --dbdir $(CURDIR)/out/apt/db --outdir $(abspath $(DIST))/apt \
 	  includedeb $${suite#*:} "$$deb" || exit; done; done
 	gpg --batch --armor --export '$(KEY)' >$(DIST)/apt/tacshade-edge.asc
 

@@ -37,7 +37,7 @@ def package(folder: Path, version: str, machine: str = "x86_64") -> None:
     control = f"Package: tacshade-edge\nVersion: {version}+deb12\nArchitecture: {architecture}\n"
     control += "Section: science\nPriority: optional\n"
     (root / "DEBIAN/control").write_text(f"{control}Maintainer: a <a@b>\nDescription: a\n b\n")
-    subprocess.run(("dpkg-deb", "--root-owner-group", "--build", root, made), check=True, capture_output=True)
+    subprocess.run(("dpkg-deb", "--root-owner-group", "-Zzstd", "--build", root, made), check=True, capture_output=True)
     shutil.rmtree(root)
 
 
