@@ -78,7 +78,7 @@ PAGES = {
     ),
     "tradeoff": Page(
         {"": "tacshade_edge tradeoff"},
-        r"^(Stages of|IoU|depth off|fps|missed|phantoms|p99)|whole disc|TV |stride [28]|window|^paper \| halved",
+        r"^(Stages of|IoU|SD %|depth off|fps|missed|phantoms|p99)|whole disc|TV |stride [28]|window|^paper \| halved",
         idle=True,
         drawn=("tradeoff.png",),
     ),
@@ -94,7 +94,7 @@ PAGES = {
             "Near-binary pictures": f"{REAL} binary out/real/tactip-cnn-bayes",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
         },
-        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)",
+        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|of 500 \|",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(early|never|deepest dent mm)$|^all "),
     "servo": Page(
@@ -109,7 +109,8 @@ PAGES = {
     "faults": Page(
         {"": "tools.faults table"},
         r"^told where$|^(connection reset|something else|wrong|a subscriber|an answer|recordings read|an open session)"
-        r"|^(SIGTERM|500 MB|12 open|two daemons|broker (absent|takes)|a second daemon, same ser|no calibration)",
+        r"|^(SIGTERM|500 MB|12 open|two daemons|broker (absent|takes)|no calibration|one image|supervisor)"
+        r"|^a second daemon, same (ser|sensor_id, other)",
         own=("tacshade_edge/daemon",),
     ),
 }
