@@ -3,7 +3,6 @@
 ::
 
     .venv/bin/python -m tools.benchmarks.daemon [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record]
-        [--json F]
 
 Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
 subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of pre-drawn
@@ -51,6 +50,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recorder import PNG_OPTIONS
+from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import Frame
 from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
 from tools.testbed.mqtt_rig import Broker
@@ -241,7 +241,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
         "captured",
         *OUTCOMES,
     ]
-    rows = [[*head, "received", "accounted"]]
+    rows = []
     for name, r in results.items():
         timed = (("p50_ms", 1), ("p99_ms", 1), ("max_ms", 1), ("first_map_s", 2), ("cpu", 3))
         cells = [f"{r[key]:.{digits}f}" if key in r else "" for key, digits in timed]
@@ -249,11 +249,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
         frames = r["health"]["frames"]
         counts = [frames["captured"], *(frames.get(o, 0) for o in OUTCOMES), r["received"]]
         rows.append([name, *cells, *map(str, counts), "yes" if r["accounted"] else "NO"])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    rows.insert(1, ["-" * width for width in widths])
-    return "\n".join(
-        "| " + " | ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
-    )
+    return markdown([*head, "received", "accounted"], rows)
 
 
 def beside_null(results: dict[str, dict[str, Any]]) -> str:
@@ -276,7 +272,6 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
     for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -308,8 +303,6 @@ def main() -> int:
         print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
     if args.record:
         print("\n".join((*hours, told)))
-    if args.json:
-        args.json.write_text(json.dumps(runs, indent=1) + "\n")
     return 0 if all(r["accounted"] for r in results.values()) else 1
 
 

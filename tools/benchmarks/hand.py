@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20] [--profile NAME] [--json FILE]
+    .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20] [--profile NAME]
 
 It uses the ring of images, the null daemon and the broker of ``tools.benchmarks.daemon``: two of the sensors are
 pressed, nothing touches the others, and one subscriber takes ``TOPICS`` of all. In the rows
@@ -186,7 +186,6 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row, start included")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -235,8 +234,6 @@ def main() -> int:
         f"{told['objects_p99_ms']:.1f} ms (p99) old, later than in its finger's own message by "
         f"{told['later_p50_ms']:.1f} ms (p50), {told['later_p99_ms']:.1f} ms (p99)"
     )
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0 if all(r["accounted"] for r in results.values()) else 1
 
 
