@@ -81,6 +81,7 @@ PAGES = {
         r"^(Stages of|IoU|SD %|depth off|fps|missed|phantoms|p99)|whole disc|TV |stride [28]|window|^paper \| halved",
         idle=True,
         drawn=("tradeoff.png",),
+        own=("tacshade_edge/studies",),
     ),
     "daemon": Page(
         {"": "tools.benchmarks.daemon --seconds 60 --runs 2"},
@@ -185,7 +186,7 @@ def write(name: str, page: Page) -> None:
 def commits_of(name: str) -> list[str]:
     """List the commits that a page names, none for figures of uncommitted changes."""
     text = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
-    return re.findall(r"(?:at|code \|) ([0-9a-f]{7,40}) of [\d-]+(?! with uncommitted)", text)
+    return re.findall(r"(?:at|code \|) ([0-9a-f]{7,40}) of [\d-]{10}(?! with uncommitted)", text)
 
 
 def why_stale(name: str, page: Page) -> str:
@@ -193,8 +194,8 @@ def why_stale(name: str, page: Page) -> str:
     programs = {command.split()[0].replace(".", "/") for command in page.commands.values()} - {"tacshade_edge"}
     paths = ["tacshade_edge/core", "tacshade_edge/inference", *page.own]
     paths += [path if (ROOT / path).is_dir() else f"{path}.py" for path in programs]
-    for commit in commits_of(name) or ["HEAD~0"]:
-        if changes := git("log", "--format=%h %s", f"{commit}..HEAD", "--", *paths).splitlines():
+    for commit in commits_of(name):
+        if changes := git("log", "--format=%h %s", f"{commit}..HEAD", "--", ":!*.md", *paths).splitlines():
             return f"{len(changes)} commits since {commit}, the last {changes[0]}"
     return "" if commits_of(name) else "names no commit"
 
