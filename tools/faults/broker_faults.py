@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import json
-import socket
-import threading
 import time
 
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
-
-from tools.faults.rig import BASE, SENSOR_ID, Cell, Proxy, Seen, fault, pause
-from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.faults.rig import BASE, Cell, Proxy, Seen, fault, pause
+from tools.testbed.mqtt_rig import Subscriber
 
 AWAY_S = 2.0
 STALL_S = 6.0
@@ -30,16 +25,6 @@ def killed(cell: Cell) -> Seen:
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
     return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
-
-
-@fault("broker absent at the start")
-def absent(cell: Cell) -> Seen:
-    began_s = cell.start(streams=False)
-    detected_s = cell.told("Connection refused", began_s)
-    cell.told("source streaming", began_s)
-    pause(AWAY_S)
-    cell.serve()
-    return Seen("maps until then, counted as failed", "log; `doctor`", detected_s, cell.maps_again())
 
 
 @fault(f"broker stalls for {STALL_S:.0f} s")
@@ -64,59 +49,19 @@ def stalled(cell: Cell) -> Seen:
     )
 
 
-def _through_a_network(cell: Cell, harm: str) -> Seen:
+@fault("network carries nothing")
+def network_stalls(cell: Cell) -> Seen:
     cell.serve()
     proxy = cell.enter(Proxy(cell.broker.port))
     cell.start(cell.settings(port=proxy.port))
     before = cell.frames()["failed"]
     since_s = cell.mark()
-    if harm == "stall":
-        proxy.flows.clear()
-    else:
-        proxy.cut()
+    proxy.flows.clear()
     detected_s = cell.told("connection lost", since_s)
     proxy.flows.set()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
     return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
-
-
-@fault("network carries nothing")
-def network_stalls(cell: Cell) -> Seen:
-    return _through_a_network(cell, "stall")
-
-
-@fault("connection reset")
-def cut(cell: Cell) -> Seen:
-    return _through_a_network(cell, "cut")
-
-
-@fault("something else on the broker's port")
-def no_broker(cell: Cell) -> Seen:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def answer() -> None:
-            while True:
-                try:
-                    peer, _ = listener.accept()
-                except OSError:
-                    return
-                with peer:
-                    peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
-
-        threading.Thread(target=answer, daemon=True).start()
-        began_s = cell.start(cell.settings(port=listener.getsockname()[1]), streams=False)
-        detected_s = cell.told("does not answer as an MQTT 5 broker|Connection reset|lost", began_s)
-    return Seen("maps, counted as failed", "log; `doctor`", detected_s)
-
-
-@fault("broker takes small packets only")
-def small_packets(cell: Cell) -> Seen:
-    cell.serve(more=("max_packet_size 5000",))
-    detected_s = cell.told("accepts packets of at most 5000 bytes", cell.start())
-    assert cell.frames()["failed"] > 0
-    assert cell.last("health")["mqtt"]["losses"] == 0
-    return Seen("what is larger, counted as failed; the rest goes on", "log, `health.mqtt.refused`", detected_s)
 
 
 @fault("broker denies publishing")
@@ -131,16 +76,6 @@ def denied(cell: Cell) -> Seen:
     return Seen("all maps, counted as failed", "log, `health.mqtt.refused`; `doctor`", detected_s)
 
 
-@fault("wrong password")
-def wrong_password(cell: Cell) -> Seen:
-    (cell.folder / "word").write_text("wrong\n")
-    cell.broker = Broker(cell.folder, users={SENSOR_ID: "right"})
-    cell.broker.start()
-    settings = cell.settings(mqtt=f", username: {SENSOR_ID}, password_file: word")
-    detected_s = cell.told("rejects the connection", cell.start(settings, streams=False))
-    return Seen("maps, counted as failed", "log; `doctor`", detected_s)
-
-
 @fault("a second daemon, same sensor_id and folders")
 def same_id(cell: Cell) -> Seen:
     cell.start()
@@ -152,18 +87,6 @@ def same_id(cell: Cell) -> Seen:
     return Seen("no press", "both logs", detected_s, recovered_s)
 
 
-@fault("a second daemon, same sensor_id, other folders")
-def same_id_elsewhere(cell: Cell) -> Seen:
-    cell.start()
-    count = cell.session()
-    with cell.second("another daemon, on", ("recs}", "recs2}"), ("maps}", "maps2}")) as detected_s:
-        pause(5.0)
-        assert "connection lost" not in cell.new_log()
-    recovered_s = cell.maps_again()
-    cell.presses(count)
-    return Seen("no frame, no press", "the other's log; `doctor`; `status/rival`", detected_s, recovered_s)
-
-
 @fault("a subscriber that does not read")
 def never_reading(cell: Cell) -> Seen:
     cell.start()
@@ -173,25 +96,6 @@ def never_reading(cell: Cell) -> Seen:
         pause(STALL_S)
         assert cell.frames()["published"] > before
     return Seen("what that subscriber did not read", "mosquitto's `$SYS`; the daemon is not concerned")
-
-
-@fault("an answer is wanted on the sensor's own topics")
-def reply_topic(cell: Cell) -> Seen:
-    cell.start()
-    since_s = cell.mark()
-    with Subscriber(cell.broker.port, f"{BASE}/#", v5=True) as attacker:
-        before = len(attacker.messages)
-        for topic in ("state", "info", "req/stitch", "res", f"../{SENSOR_ID}/state"):
-            properties = Properties(PacketTypes.PUBLISH)
-            properties.ResponseTopic = f"{BASE}/{topic}"
-            for payload in (b"{}", b"garbage"):
-                attacker.publish(f"{BASE}/req/status", payload, properties=properties)
-        attacker.wait_for(f"{BASE}/res/status", 10, 20)
-        took_s = time.monotonic() - since_s
-        wrong = {m.topic for m in attacker.messages[before:] if b'"ok"' in m.payload and "/res/" not in m.topic}
-        assert not wrong, wrong
-        assert set(attacker.of(f"{BASE}/state")) <= {b"online"}
-    return Seen("nothing", f"answers are on `res/status`, in {took_s:.1f} s")
 
 
 @fault(f"{FLOOD} requests at once")

@@ -106,16 +106,6 @@ def full_in_a_session(cell: Cell) -> Seen:
     return Seen(f"{missed} presses, each refused", told, detected_s, time.monotonic() - since_s)
 
 
-@fault("an open session's folder deleted")
-def session_deleted(cell: Cell) -> Seen:
-    cell.start()
-    cell.session()
-    since_s = cell.mark()
-    shutil.rmtree(cell.folder / "maps/one")
-    detected_s = cell.told("the session's files are gone", since_s)
-    return Seen("what was deleted", "log, answers", detected_s, _begun(cell, "two"))
-
-
 @fault("a bit flipped in a session's presses")
 def flipped_bit(cell: Cell) -> Seen:
     """The bit is in the first press; no daemon runs meanwhile."""

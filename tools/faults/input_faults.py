@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 
 from tacshade_edge.storage.calibration import calibration_file
-from tools.faults.rig import SENSOR_ID, Cell, Seen, fault, pause
+from tools.faults.rig import Cell, Seen, fault, pause
 from tools.testbed.painted_sensor import BLACK, painted_calibration
 from tools.testbed.robot import Faults, PtyRobot
 
@@ -73,30 +73,6 @@ def silent(cell: Cell) -> Seen:
     _robot(cell).stop_talking()
     detected_s = cell.until(lambda: cell.last("status/serial").get("state") == "silent", 20, "silent")
     return Seen("frames have no pose", "`status/serial`, `health.serial`", detected_s)
-
-
-@fault("a second daemon, same serial port")
-def shared_line(cell: Cell) -> Seen:
-    _robot(cell)
-    poses = cell.last("health")["serial"]["poses"]
-    changes = ((f"sensor_id: {SENSOR_ID}", "sensor_id: other"), ("maps}", "maps2}"))
-    with cell.second("serial away", *changes) as detected_s:
-        cell.until(lambda: cell.last("health")["serial"]["poses"] > poses + 100, 20, "the first goes on")
-        assert cell.last("health")["serial"]["poses_lost"] == 0
-    return Seen("nothing: the first keeps it", "log, `status/serial` of the second", detected_s)
-
-
-@fault("one image in 64 damaged")
-def damaged_image(cell: Cell) -> Seen:
-    images = cell.folder / "images"
-    (images / "bad.png").write_bytes((images / "free.png").read_bytes()[:500])
-    lines = (images / "frames.csv").read_text().splitlines()
-    lines[5] = lines[5].replace("free.png", "bad.png")
-    (images / "frames.csv").write_text("\n".join(lines) + "\n")
-    cell.start()
-    cell.until(lambda: cell.last("health")["frames"]["failed"] > 1, 20, "failed frames")
-    frames = cell.frames()
-    return Seen(f"those frames: {frames['failed']} of {frames['captured']}", "`health.frames.failed`")
 
 
 @fault("lens covered, and uncovered")

@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 import resource
 import signal
-import subprocess
 import time
-from pathlib import Path
 
-from tools.faults.rig import BASE, SENSOR_ID, Cell, Seen, fault, frames_of, pause
-from tools.testbed.patience import wait_until
+from tools.faults.rig import BASE, Cell, Seen, fault, frames_of, pause
 
 FROZEN_S = 5.0
 YEAR_S = 365 * 86_400
@@ -113,57 +110,3 @@ def few_files(cell: Cell) -> Seen:
     seen = _limited(cell, resource.RLIMIT_NOFILE, 12)
     assert "expected at least 128" in cell.log(), cell.log()[-300:]
     return seen
-
-
-def _one_of_several(cell: Cell) -> int:
-    """Start a supervisor with a process for one sensor; return the id of this process."""
-    path = cell.folder / "several.yaml"
-    cell.serve()
-    path.write_text(
-        "profile: fast\nsensors:\n"
-        f"  {SENSOR_ID}:\n    calibration: c.npz\n    source: {{kind: files, path: images, fps: 60, loop: true}}\n"
-        f"mqtt: {{host: 127.0.0.1, port: {cell.broker.port}}}\n"
-        "recorder: {folder: recs}\nstitching: {folder: maps}\n"
-    )
-    cell.start(path)
-    return int(subprocess.run(("pgrep", "-P", str(cell.daemon.pid)), capture_output=True, check=True).stdout)
-
-
-@fault("SIGTERM to the process of one of several sensors")
-def part_stopped(cell: Cell) -> Seen:
-    part, since_s = _one_of_several(cell), cell.mark()
-    os.kill(part, signal.SIGTERM)
-    detected_s = cell.told("a signal ended its process; restarting", since_s)
-    return Seen("frames meanwhile", "log, `STATUS`", detected_s, cell.maps_again())
-
-
-@fault("supervisor killed (-9) while a sensor is stopped")
-def part_left(cell: Cell) -> Seen:
-    part = _one_of_several(cell)
-
-    def states() -> set[str]:
-        """The states of the part's threads: the kernel wakes a process again whose stop is incomplete."""
-        files = Path(f"/proc/{part}/task").glob("*/stat")
-        return {path.read_text().rpartition(")")[2].split()[0] for path in files} - {"Z"}
-
-    os.kill(part, signal.SIGSTOP)
-    wait_until(lambda: states() == {"T"}, 20, "each thread stands")
-    since_s = time.monotonic()
-    cell.kill()
-    try:
-        wait_until(lambda: not states(), 20, "it ends with its supervisor")
-    finally:
-        if states():
-            os.kill(part, signal.SIGKILL)
-    return Seen("it ends", "`state`", time.monotonic() - since_s)
-
-
-@fault("two daemons, one folder for sessions")
-def shared_folder(cell: Cell) -> Seen:
-    cell.start()
-    count = cell.session()
-    change = (f"sensor_id: {SENSOR_ID}", "sensor_id: other")
-    with cell.second("in use by 'sensor finger, process", change) as detected_s:
-        pass
-    cell.presses(count + 2)
-    return Seen("nothing", "log: who holds it", detected_s)

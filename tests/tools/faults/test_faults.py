@@ -13,7 +13,7 @@ pytestmark = [
     pytest.mark.broker,
     pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
 ]
-QUICK = ("an answer is wanted on the sensor's own topics", "recordings read while they are written")
+QUICK = ("a bit flipped in a session's presses", "recordings read while they are written")
 
 
 @pytest.mark.parametrize("name", QUICK)
