@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from tacshade_edge.errors import DeviceError
@@ -77,6 +77,28 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
     except OSError:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+        raise
+
+
+def write_set(folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes) -> None:
+    """Write files that belong together: `manifest` is absent while they are mixed with older ones.
+
+    Every file is on the disk under a temporary name before the first one replaces an older one. Raises OSError.
+    """
+    new = [folder / f"{name}.new" for name in files]
+    try:
+        for path, data in zip(new, files.values(), strict=True):
+            write_whole(path, data)
+        (folder / manifest).unlink(missing_ok=True)
+        sync(folder)
+        for path in new:
+            os.replace(path, path.with_suffix(""))
+        sync(folder)
+        write_whole(folder / manifest, about)
+    except OSError:
+        for path in new:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
         raise
 
 

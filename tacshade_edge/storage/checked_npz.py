@@ -4,38 +4,19 @@ from __future__ import annotations
 
 import io
 import json
-import math
-import tokenize
-import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
-from numpy.lib import format as npy
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import shown
-from tacshade_edge.regular_files import read_regular
+from tacshade_edge.storage.npz import read_arrays
 
 BYTES_MAX: Final = 64 << 20
 """Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
-_MEMBERS_MAX: Final = 16
-
-# numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
-_DAMAGE = (
-    KeyError,
-    ValueError,
-    TypeError,
-    EOFError,
-    RuntimeError,
-    MemoryError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +62,14 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
         The file is absent, of another kind, or damaged.
     """
     try:
-        members = _members(read_regular(name, BYTES_MAX))
         # In the file's order; another version may have other arrays, which its checksum covers.
-        arrays = {key: _array(data) for key, data in members.items()}
+        arrays = read_arrays(name, BYTES_MAX)
         meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
     except OSError as error:
         raise ConfigError(
             f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
         ) from None
-    except _DAMAGE:
+    except (DecodeError, KeyError, ValueError, TypeError):
         raise ConfigError(
             f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
         ) from None
@@ -104,28 +84,6 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
     if not isinstance(known, dict):
         raise ConfigError(f"{name}: not a {what}; expected a file written by {writer}")
     return Content(known, arrays), crc
-
-
-def _members(data: bytes) -> dict[str, bytes]:
-    """The members of an .npz by name, if the archive's table states acceptable sizes. Raises one of `_DAMAGE`."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        entries = archive.infolist()
-        if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > BYTES_MAX:
-            raise ValueError("too many or too large arrays")
-        # zipfile never unpacks more than the stated size.
-        return {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
-
-
-def _array(data: bytes) -> npt.NDArray[Any]:
-    """The array of numbers in a .npy, which must be as long as its header says. Raises one of `_DAMAGE`."""
-    stream = io.BytesIO(data)
-    if npy.read_magic(stream) != (1, 0):
-        raise ValueError("another version of .npy")
-    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
-    values = data[stream.tell() :]
-    if dtype.kind not in "biuf" or len(values) != dtype.itemsize * math.prod(shape):
-        raise ValueError("not as long as its header says")
-    return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran_order else "C")
 
 
 def _json(meta: Mapping[str, Any]) -> bytes:

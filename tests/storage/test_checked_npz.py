@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import os
+import struct
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -24,9 +25,9 @@ def read(path: Path, data: bytes) -> Content:
     return checked_npz.read(str(path), "calibration", "somebody")[0]
 
 
-def packed(members: dict[str, bytes]) -> bytes:
+def packed(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w", compression) as archive:
         for name, data in members.items():
             archive.writestr(name, data)
     return stream.getvalue()
@@ -72,6 +73,23 @@ def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: 
         ):
             read(tmp_path / "c.npz", data)
         assert tracemalloc.get_traced_memory()[1] < 2 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path, compression: int) -> None:
+    size = 200 << 20
+    data = packed({"meta.npy": array(np.zeros(size, np.uint8))}, compression)
+    assert len(data) < 1 << 20
+    stated = struct.pack("<I", size + 128)
+    assert data.count(stated) == 2
+    data = data.replace(stated, struct.pack("<I", 4096))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match="damaged"):
+            read(tmp_path / "c.npz", data)
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
     finally:
         tracemalloc.stop()
 

@@ -31,7 +31,7 @@ from tacshade_edge.studies.stitch.presses import (
     read_recording,
     stitcher_of,
 )
-from tacshade_edge.studies.stitch.truth import KnownSurface, radius_average, read_known, score, write_comparison
+from tacshade_edge.studies.stitch.truth import KnownSurface, comparison_png, radius_average, read_known, score
 from tacshade_edge.types import Calibration
 
 EXIT_FAILED = 1
@@ -98,16 +98,15 @@ def run(args: argparse.Namespace) -> int:
         why = presses[0].skipped if presses else "no contact settled"
         raise ConfigError(f"{args.poses or args.recording}: found no usable press: {why}")
     finished = stitcher.finish()
-    about = {"profile": args.profile, **_details(presses, finished)}
+    about, more = {"profile": args.profile, **_details(presses, finished)}, {}
     if known is not None:
         about["score"] = score(finished.raster, known).as_json()
         average = radius_average(all_points(presses), STEP_MM)
         about["paper"] = _scored(average, known)
         if finished.refined:
             about["unrefined"] = _scored(stitcher.finish(None).raster, known)
-    write_map(args.out, finished.raster, about)
-    if known is not None:
-        write_comparison(args.out / "comparison.png", known.raster, finished.raster, average)
+        more["comparison.png"] = comparison_png(known.raster, finished.raster, average)
+    write_map(args.out, finished.raster, about, more)
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
@@ -167,8 +166,9 @@ def _line(s: dict[str, Any]) -> str:
         values = [abs(r[key]) for r in records if r[key] is not None]
         return f"{max(values):.2f}" if values else "-"
 
+    covered = "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"  # a flat surface
     return (
-        f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {100 * s['raised_coverage']:.1f} % covered, "
+        f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {covered} covered, "
         f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
         f"circle within {worst(s['circles'], 'radius_percent')} %"
     )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from tacshade_edge.core.stitching.stitcher import PlacedPress
 from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.storage.atomic_files import disk_errors, write_set
 from tacshade_edge.storage.meshes import ply
 from tacshade_edge.storage.pictures.map_preview import height_span_mm, preview
 from tacshade_edge.types import F32
@@ -34,8 +35,10 @@ def press_record(press: PlacedPress) -> dict[str, Any]:
     }
 
 
-def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
-    """Write all files of a map, each whole or not at all.
+def write_map(
+    folder: Path, raster: Raster, details: Mapping[str, Any], more: Mapping[str, bytes] = MappingProxyType({})
+) -> None:
+    """Write all files of a map, so that files beside a ``map.json`` are of one map, also after a kill.
 
     Parameters
     ----------
@@ -44,6 +47,8 @@ def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
     raster : Raster
     details : mapping
         Additional keys of ``map.json``.
+    more : mapping of str to bytes
+        Additional files.
 
     Raises
     ------
@@ -66,13 +71,16 @@ def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
     del levels  # 30 MB for a large map
     buffer = io.BytesIO()
     np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)
+    files: dict[str, bytes | Iterable[bytes]] = {
+        "map.npz": buffer.getvalue(),
+        "map.ply": _points(raster),
+        "map.png": png,
+        "preview.png": cv2.imencode(".png", preview(raster))[1].tobytes(),
+        **more,
+    }
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "map.npz", buffer.getvalue())
-        write_whole(folder / "map.ply", _points(raster))
-        write_whole(folder / "map.png", png)
-        write_whole(folder / "preview.png", cv2.imencode(".png", preview(raster))[1].tobytes())
-        write_whole(folder / "map.json", (json.dumps(about, indent=2) + "\n").encode())
+        write_set(folder, files, "map.json", (json.dumps(about, indent=2) + "\n").encode())
 
 
 def _points(raster: Raster) -> Iterator[bytes]:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +14,7 @@ from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.images import SUFFIXES, read_image
+from tacshade_edge.storage.npz import read_arrays
 from tacshade_edge.studies.evaluate.scenes import Case
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
@@ -25,8 +23,7 @@ from tacshade_edge.studies.parallel import Report
 from tacshade_edge.types import Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"
-# Exceptions that numpy and zipfile raise on damaged bytes.
-_DAMAGE = (KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+_BYTES_MAX = 256 << 20
 
 
 def images_in(folder: Path) -> list[Path]:
@@ -85,13 +82,12 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as npz:
-            return {key: npz[key] for key in npz.files}
+        return read_arrays(path, _BYTES_MAX, kinds="biufU")
     except FileNotFoundError:
         raise DecodeError(f"{path}: found no such file, expected the image's ground truth: {EXPECTED}") from None
     except OSError as error:
-        raise DecodeError(f"{path}: {error.strerror or 'not an .npz file'}, expected {EXPECTED}") from None
-    except (*_DAMAGE, AttributeError, tokenize.TokenError):  # AttributeError: a .npy is not an archive
+        raise DecodeError(f"{path}: {error.strerror or error}, expected {EXPECTED}") from None
+    except DecodeError:
         raise DecodeError(f"{path}: the file is damaged or not an .npz file; expected {EXPECTED}") from None
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import zipfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,15 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.npz import read_arrays
 from tacshade_edge.types import F32, F64, U8, freeze
 
 _STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
 _BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
 _FLAT_MM, _FLAT_WITHIN_MM = 0.1, 0.75
+_BYTES_MAX = 256 << 20
+_STEP_MIN_MM, _PLACE_MAX_MM = 0.001, 1e6
 _END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
 
 
@@ -83,24 +84,29 @@ class Score:
 def read_known(path: Path) -> KnownSurface:
     """Read PAD.npz. Raises ConfigError if it is not readable, or not a map."""
     try:
-        with path.open("rb") as stream, np.load(stream) as npz:
-            z, x0, y0, step = (npz[key] for key in ("z_mm", "x0_mm", "y0_mm", "step_mm"))
-            bars = npz["bars_mm"] if "bars_mm" in npz.files else np.zeros((0, 5))
-            circles = npz["circles_mm"] if "circles_mm" in npz.files else np.zeros((0, 4))
-        raster = Raster(z.astype(np.float32), float(x0), float(y0), float(step))
-        known = KnownSurface(raster, bars.reshape(-1, 5).astype(float), circles.reshape(-1, 4).astype(float))
+        npz = read_arrays(path, _BYTES_MAX)
+        x0, y0, step = (float(npz[key].item()) for key in ("x0_mm", "y0_mm", "step_mm"))
+        z = npz["z_mm"].astype(np.float32)
+        bars = npz.get("bars_mm", np.zeros((0, 5))).reshape(-1, 5).astype(float)
+        circles = npz.get("circles_mm", np.zeros((0, 4))).reshape(-1, 4).astype(float)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (DecodeError, KeyError, ValueError) as error:
         raise ConfigError(
             f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
         ) from None
-    if raster.z_mm.ndim != 2 or not raster.step_mm > 0 or not np.isfinite(raster.z_mm).any():
-        found = f"z_mm of shape {raster.z_mm.shape} at steps of {raster.step_mm:g} mm"
+    if z.ndim != 2 or not np.isfinite(z).any() or np.isinf(z).any() or not _STEP_MIN_MM <= step <= _PLACE_MAX_MM:
+        found = f"z_mm of shape {z.shape} at steps of {step:g} mm"
         raise ConfigError(
-            f"{path}: found {found}, expected a two-dimensional z_mm with finite heights and a step above 0"
+            f"{path}: found {found}, expected a two-dimensional z_mm of finite heights and NaN, "
+            f"and a step of at least {_STEP_MIN_MM:g} mm"
         )
-    return known
+    lengths = np.hypot(bars[:, 2] - bars[:, 0], bars[:, 3] - bars[:, 1])
+    places = np.concatenate(((x0, y0), bars.ravel(), circles.ravel()))
+    sizes = np.concatenate((lengths, bars[:, 4], circles[:, 2:].ravel()))
+    if not (np.abs(places) <= _PLACE_MAX_MM).all() or not (sizes > 0).all():
+        raise ConfigError(f"{path}: bars_mm, circles_mm, x0_mm or y0_mm: expected finite places, sizes above 0")
+    return KnownSurface(Raster(z, x0, y0, step), bars, circles)
 
 
 def score(found: Raster, known: KnownSurface) -> Score:
@@ -249,10 +255,9 @@ _GAP_PX, _TITLE_PX = 10, 22
 _UNTOUCHED_GREY = 225
 
 
-def write_comparison(path: Path, known: Raster, found: Raster, average: Raster) -> None:
-    """Write the picture, over the known surface, seen from above with y upwards. Raises DeviceError."""
-    with disk_errors(path.parent):
-        write_whole(path, cv2.imencode(".png", comparison(known, found, average))[1].tobytes())
+def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
+    """The picture, over the known surface, seen from above with y upwards."""
+    return cv2.imencode(".png", comparison(known, found, average))[1].tobytes()
 
 
 def comparison(known: Raster, found: Raster, average: Raster) -> U8:

@@ -1,3 +1,4 @@
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,7 +140,7 @@ def test_a_truth_that_cannot_be_is_one_line(tmp_path: Path, content: dict[str, A
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("damage", ["cut", "text", "empty", "npy", "flipped", "pickle", "absent", "folder"])
+@pytest.mark.parametrize("damage", ["cut", "text", "empty", "npy", "flipped", "pickle", "absent", "folder", "pipe"])
 def test_a_damaged_truth_is_one_line(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "t.npz"
     np.savez(path, **truth())
@@ -147,6 +148,8 @@ def test_a_damaged_truth_is_one_line(tmp_path: Path, damage: str) -> None:
     path.unlink()
     if damage == "folder":
         path.mkdir()
+    elif damage == "pipe":
+        os.mkfifo(path)
     elif damage == "npy":
         with path.open("wb") as stream:
             np.save(stream, np.zeros(3))

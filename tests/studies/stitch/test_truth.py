@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tacshade_edge.cli.commands import stitch
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import pad as pads
@@ -78,6 +80,11 @@ def test_a_map_of_another_step_and_place() -> None:
     assert score(beyond, KNOWN).outside_cells == 10 * (200 - 129)
 
 
+def test_a_flat_surface_is_scored_and_told() -> None:
+    flat = KnownSurface(Raster(np.zeros((40, 40), np.float32), 0.0, 0.0, 0.25), KNOWN.bars_mm[:0], KNOWN.circles_mm[:0])
+    assert "raised nothing covered" in stitch._line(score(flat.raster, flat).as_json())
+
+
 def test_another_frame_is_told() -> None:
     with pytest.raises(ConfigError, match="share no cell"):
         score(replace(KNOWN.raster, x0_mm=500.0), KNOWN)
@@ -100,7 +107,13 @@ def test_a_file_that_is_none(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"z_mm": np.zeros(3)}, {"step_mm": 0.0}, {"z_mm": np.full((2, 2), np.nan)}, {"z_mm": None}]
+    "change",
+    [
+        *({"z_mm": np.zeros(3)}, {"step_mm": 0.0}, {"z_mm": np.full((2, 2), np.nan)}, {"z_mm": None}),
+        *({"step_mm": np.inf}, {"step_mm": 1e-300}, {"x0_mm": np.nan}, {"x0_mm": np.zeros(2)}, {"z_mm": np.array("a")}),
+        *({"bars_mm": np.zeros((1, 5))}, {"bars_mm": np.zeros(4)}, {"circles_mm": np.full((1, 4), np.nan)}),
+        {"z_mm": np.array([[None]])},
+    ],
 )
 def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:
     content = {"z_mm": np.zeros((4, 4)), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": 1.0} | change
@@ -111,7 +124,10 @@ def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:
         read_known(tmp_path / "bad.npz")
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(ConfigError, match="found no regular file"):
+        read_known(tmp_path / "pipe.npz")
     with pytest.raises(ConfigError, match="No such file"):
         read_known(tmp_path / "none.npz")
 
