@@ -85,7 +85,8 @@ PAGES = {
     ),
     "daemon": Page(
         {"": "tools.benchmarks.daemon --seconds 60 --runs 2"},
-        r"^(captured|published|superseded|without_contact|unasked|invalid|failed|received|peak MB)$",
+        r"^(captured|published|superseded|without_contact|unasked|invalid|failed|received|peak MB)$"
+        r"|^(beside|contact, p50|free, p50) ",
         idle=True,
         own=("tacshade_edge/daemon",),
     ),
@@ -95,16 +96,19 @@ PAGES = {
             "Near-binary pictures": f"{REAL} binary out/real/tactip-cnn-bayes",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
         },
-        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|of 500 \|",
+        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|of 500 \||^(fast|balanced) \| (tilt|shear) ",
     ),
-    "slip": Page({"": "tools.studies.slip"}, r"^(early|never|deepest dent mm)$|^all "),
+    "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
         r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) |^5 ",
         drawn=("servo.png",),
         own=("tools/examples/servo",),
     ),
-    "touch": Page({"": "tools.studies.touch out/real/tactile_data_shear"}, r"^(learning, s|split)$| \| random "),
+    "touch": Page(
+        {"": "tools.studies.touch out/real/tactile_data_shear"},
+        r"^(learning, s|split)$|^(Mean absolute|Published: )|^balanced \| (100|40) | \| random ",
+    ),
     "fit": Page({"": "tools.studies.fit --folder out/fit"}, own=("tacshade_edge/fitting",)),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
     "faults": Page(
