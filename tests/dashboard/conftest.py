@@ -1,16 +1,31 @@
-"""One browser, and one calibration, for all tests of the page."""
+"""One browser, and one calibration, for all tests of the page; a broker, its dashboard and a sensor for each."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
-from support.browser import browser, errors, errors_of_the_page
+from support.page_server import run
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
+from tools.testbed.browser import browser, errors, errors_of_the_page
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.published_sensor import PublishedSensor
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
 
 
 @pytest.fixture(scope="session")
@@ -34,3 +49,29 @@ def page(chromium: Chrome) -> Iterator[Chrome]:
     complaints = errors_of_the_page(chromium)
     chromium.get("about:blank")
     assert complaints == []
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as running:
+        yield running
+
+
+@pytest.fixture
+def address(broker: Broker) -> Iterator[str]:
+    """The page's, of a dashboard of this broker."""
+    with dashboard(f"127.0.0.1:{broker.port}") as told:
+        yield told
+
+
+@pytest.fixture
+def sensor(broker: Broker) -> Iterator[PublishedSensor]:
+    with PublishedSensor(broker.port) as published:
+        yield published
+
+
+@pytest.fixture
+def seen(broker: Broker) -> Iterator[Subscriber]:
+    """What the page asks of any sensor."""
+    with Subscriber(broker.port, "tacshade/+/req/+") as subscriber:
+        yield subscriber

@@ -7,8 +7,7 @@ import ssl
 from pathlib import Path
 
 import pytest
-from support.dashboard_process import dashboard
-from support.page_server import TOKEN, answer, client_through, echo, get, run, running, tcp, websocket
+from support.page_server import TOKEN, answer, client_through, echo, get, running, tcp, websocket
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -16,6 +15,7 @@ from tacshade_edge.dashboard import files
 from tacshade_edge.dashboard.access import refusal
 from tacshade_edge.dashboard.login import WRONG_MAX
 from tools.testbed.certificate import certificate
+from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until
 
@@ -45,99 +45,87 @@ def test_who_may_open_the_websocket(origin: str | None, host: str | None, passes
     assert (refusal(origin, host, {"https://hand.example"}) == "") is passes
 
 
-def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pytest.LogCaptureFixture) -> None:
+async def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pytest.LogCaptureFixture) -> None:
     connected = []
 
     async def count(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         connected.append(1)
         writer.close()
 
-    async def test() -> None:
-        async with tcp(count) as broker, running(broker) as port:
-            with pytest.raises(InvalidStatus) as refused:
-                await websocket(port, origin="http://evil.example").__aenter__()
-            assert refused.value.response.status_code == 403
-            assert b"expected one from here" in (refused.value.response.body or b"")
-            with pytest.raises(InvalidStatus):
-                await websocket(port, origin="http://evil.example").__aenter__()
-            assert (await get(port, "/mqtt"))[0] == 426
-            assert connected == []
-            async with websocket(port, origin=f"http://127.0.0.1:{port}") as page:
-                with pytest.raises(ConnectionClosed):
-                    await page.recv()
-            assert connected == [1]
-
-    run(test())
+    async with tcp(count) as broker, running(broker) as port:
+        with pytest.raises(InvalidStatus) as refused:
+            await websocket(port, origin="http://evil.example").__aenter__()
+        assert refused.value.response.status_code == 403
+        assert b"expected one from here" in (refused.value.response.body or b"")
+        with pytest.raises(InvalidStatus):
+            await websocket(port, origin="http://evil.example").__aenter__()
+        assert (await get(port, "/mqtt"))[0] == 426
+        assert connected == []
+        async with websocket(port, origin=f"http://127.0.0.1:{port}") as page:
+            with pytest.raises(ConnectionClosed):
+                await page.recv()
+        assert connected == [1]
     assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # told once
 
 
-def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
-            for path in sorted(files.load()):
-                status, headers, body = await get(port, path)
-                if path in ("/", "/index.html"):
-                    assert (status, headers["location"], body) == (303, "login", b"")
-                elif path in ("/login", "/login.js", "/style.css", "/favicon.svg"):
-                    assert status == 200
-                else:
-                    assert (status, b"token" in body) == (401, True), path
-            with pytest.raises(InvalidStatus) as refused:
-                await websocket(port).__aenter__()
-            assert refused.value.response.status_code == 401
+async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
+    async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
+        for path in sorted(files.load()):
+            status, headers, body = await get(port, path)
+            if path in ("/", "/index.html"):
+                assert (status, headers["location"], body) == (303, "login", b"")
+            elif path in ("/login", "/login.js", "/style.css", "/favicon.svg"):
+                assert status == 200
+            else:
+                assert (status, b"token" in body) == (401, True), path
+        with pytest.raises(InvalidStatus) as refused:
+            await websocket(port).__aenter__()
+        assert refused.value.response.status_code == 401
 
-            status, headers, _ = await get(port, "/login", f"Authorization: Bearer {TOKEN}")
-            assert status == 204
-            cookie, *flags = headers["set-cookie"].split("; ")
-            assert {"HttpOnly", "SameSite=Strict", "Path=/"} < set(flags)
-            assert "Secure" not in flags
-            assert (await get(port, "/", f"Cookie: other=1; {cookie}"))[0] == 200
-            assert (await get(port, "/main.js", f"Authorization: bearer {TOKEN}"))[0] == 200
-            assert (await get(port, "/", f"Cookie: {cookie}", f"Cookie: {cookie}"))[0] == 400
-            # a proxy's own login
-            assert (await get(port, "/", f"Cookie: {cookie}", "Authorization: Basic dTpw"))[0] == 200
-            async with websocket(port, additional_headers={"Cookie": cookie}) as page:
-                await page.send(b"hello")
-                assert await page.recv() == b"hello"
-
-    run(test())
+        status, headers, _ = await get(port, "/login", f"Authorization: Bearer {TOKEN}")
+        assert status == 204
+        cookie, *flags = headers["set-cookie"].split("; ")
+        assert {"HttpOnly", "SameSite=Strict", "Path=/"} < set(flags)
+        assert "Secure" not in flags
+        assert (await get(port, "/", f"Cookie: other=1; {cookie}"))[0] == 200
+        assert (await get(port, "/main.js", f"Authorization: bearer {TOKEN}"))[0] == 200
+        assert (await get(port, "/", f"Cookie: {cookie}", f"Cookie: {cookie}"))[0] == 400
+        # a proxy's own login
+        assert (await get(port, "/", f"Cookie: {cookie}", "Authorization: Basic dTpw"))[0] == 200
+        async with websocket(port, additional_headers={"Cookie": cookie}) as page:
+            await page.send(b"hello")
+            assert await page.recv() == b"hello"
 
 
-def test_wrong_tokens_are_counted_and_then_refused_unseen(caplog: pytest.LogCaptureFixture) -> None:
-    async def test() -> None:
-        async with running(token=TOKEN) as port:
-            for k in range(WRONG_MAX):
-                assert (await get(port, "/login", f"Authorization: Bearer wrong{k}"))[0] == 401
-            assert (await get(port, "/login", f"Authorization: Bearer {TOKEN}"))[0] == 429
-            assert (await get(port, "/login"))[0] == 200
-
-    run(test())
+async def test_wrong_tokens_are_counted_and_then_refused_unseen(caplog: pytest.LogCaptureFixture) -> None:
+    async with running(token=TOKEN) as port:
+        for k in range(WRONG_MAX):
+            assert (await get(port, "/login", f"Authorization: Bearer wrong{k}"))[0] == 401
+        assert (await get(port, "/login", f"Authorization: Bearer {TOKEN}"))[0] == 429
+        assert (await get(port, "/login"))[0] == 200
     told = [record.getMessage() for record in caplog.records]
     assert told == [f"rejected a wrong token from 127.0.0.1 ({k} so far)" for k in range(1, WRONG_MAX + 1)]
 
 
-def test_over_tls_the_cookie_is_sent_over_nothing_else(tmp_path: Path) -> None:
+async def test_over_tls_the_cookie_is_sent_over_nothing_else(tmp_path: Path) -> None:
     cert, key = certificate(tmp_path)
     offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     offered.load_cert_chain(cert, key)
     trusted = ssl.create_default_context(cafile=cert)
 
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker, token=TOKEN, tls=offered) as port:
-            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
-            writer.write(f"GET /login HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\n\r\n".encode())
-            said = await reader.read()
-            writer.close()
-            assert said.startswith(b"HTTP/1.1 204 ")
-            assert b"; Secure\r\n" in said
-            assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""  # without TLS
-            address = f"wss://127.0.0.1:{port}/mqtt"
-            words = {"Authorization": f"Bearer {TOKEN}"}
-            async with connect(address, ssl=trusted, subprotocols=["mqtt"], additional_headers=words) as page:
-                await page.send(b"hello")
-                assert await page.recv() == b"hello"
-
-    run(test())
+    async with tcp(echo) as broker, running(broker, token=TOKEN, tls=offered) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+        writer.write(f"GET /login HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\n\r\n".encode())
+        said = await reader.read()
+        writer.close()
+        assert said.startswith(b"HTTP/1.1 204 ")
+        assert b"; Secure\r\n" in said
+        assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""  # without TLS
+        address = f"wss://127.0.0.1:{port}/mqtt"
+        words = {"Authorization": f"Bearer {TOKEN}"}
+        async with connect(address, ssl=trusted, subprotocols=["mqtt"], additional_headers=words) as page:
+            await page.send(b"hello")
+            assert await page.recv() == b"hello"
 
 
 @pytest.mark.broker

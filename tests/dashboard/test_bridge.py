@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from support.dashboard_process import dashboard
-from support.page_server import client_through, echo, get, run, running, tcp, websocket
+from support.page_server import client_through, echo, get, running, tcp, websocket
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from tacshade_edge.dashboard import bridge
+from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import wait_until
 
 NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
-def test_bytes_pass_both_ways_unchanged() -> None:
+async def test_bytes_pass_both_ways_unchanged() -> None:
     sent = [bytes([n]) * (1 + n * 997) for n in range(60)]
 
     async def receive(page: ClientConnection, size: int) -> bytes:
@@ -31,31 +31,25 @@ def test_bytes_pass_both_ways_unchanged() -> None:
             received += message
         return received
 
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
-            assert page.subprotocol == "mqtt"
-            receiving = asyncio.create_task(receive(page, sum(map(len, sent))))
-            for message in sent:
-                await page.send(message)
-            assert await receiving == b"".join(sent)
-
-    run(test())
+    async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+        assert page.subprotocol == "mqtt"
+        receiving = asyncio.create_task(receive(page, sum(map(len, sent))))
+        for message in sent:
+            await page.send(message)
+        assert await receiving == b"".join(sent)
 
 
 @pytest.mark.parametrize(("message", "code"), [("text", 1003), (b"x" * (1 << 17), 1009)])
-def test_what_is_no_mqtt_is_refused(message: str | bytes, code: int) -> None:
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
-            await page.send(message)
-            with pytest.raises(ConnectionClosed) as closed:
-                await page.recv()
-            assert closed.value.rcvd is not None
-            assert closed.value.rcvd.code == code
-
-    run(test())
+async def test_what_is_no_mqtt_is_refused(message: str | bytes, code: int) -> None:
+    async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+        await page.send(message)
+        with pytest.raises(ConnectionClosed) as closed:
+            await page.recv()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == code
 
 
-def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
+async def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
     async def reason(port: int) -> str:
         async with websocket(port) as page:
             with pytest.raises(ConnectionClosed) as closed:
@@ -67,39 +61,17 @@ def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
     async def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.close()
 
-    async def test() -> None:
-        async with tcp(echo) as broker:
-            pass
-        async with running(broker) as port:
-            assert await reason(port) == f"broker 127.0.0.1:{broker}: connection refused"
-            listener = await asyncio.start_server(hang_up, "127.0.0.1", broker)
-            async with listener:
-                assert await reason(port) == f"broker 127.0.0.1:{broker} closed the connection"
-            assert (await get(port, "/"))[0] == 200
-
-    run(test())
+    async with tcp(echo) as broker:
+        pass
+    async with running(broker) as port:
+        assert await reason(port) == f"broker 127.0.0.1:{broker}: connection refused"
+        listener = await asyncio.start_server(hang_up, "127.0.0.1", broker)
+        async with listener:
+            assert await reason(port) == f"broker 127.0.0.1:{broker} closed the connection"
+        assert (await get(port, "/"))[0] == 200
 
 
-@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "::1"])
-def test_a_closed_port_is_told_in_two_words(host: str) -> None:
-    """A name of several addresses fails in another way than one address."""
-
-    async def refused(_reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
-        raise AssertionError("nobody may come here")
-
-    async def test() -> None:
-        async with tcp(refused) as broker:
-            pass
-        async with running(broker, host=host) as port, websocket(port) as page:
-            with pytest.raises(ConnectionClosed) as closed:
-                await page.recv()
-            assert closed.value.rcvd is not None
-            assert closed.value.rcvd.reason.endswith(f":{broker}: connection refused")
-
-    run(test())
-
-
-def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> None:
+async def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> None:
     ended = asyncio.Event()
 
     async def until_end(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -107,17 +79,14 @@ def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> None:
         ended.set()
         writer.close()
 
-    async def test() -> None:
-        async with tcp(until_end) as broker, running(broker) as port:
-            async with websocket(port) as page:
-                await page.send(b"hello")
-                page.transport.abort()  # no closing frame: a tab that crashed
-            await ended.wait()
-
-    run(test())
+    async with tcp(until_end) as broker, running(broker) as port:
+        async with websocket(port) as page:
+            await page.send(b"hello")
+            page.transport.abort()  # no closing frame: a tab that crashed
+        await ended.wait()
 
 
-def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
+async def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
     """The server holds some hundred KB, the kernel some MB; the broker notices, and drops by its own rules."""
     written = 0
 
@@ -131,20 +100,17 @@ def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
         except ConnectionError:
             pass
 
-    async def test() -> None:
-        async with tcp(flood) as broker, running(broker) as port, websocket(port, max_queue=1) as page:
-            await page.recv()
-            before = -1
-            while written != before:
-                before = written
-                await asyncio.sleep(0.1)
-            assert 0 < written < 64 << 20
-            page.transport.abort()
-
-    run(test())
+    async with tcp(flood) as broker, running(broker) as port, websocket(port, max_queue=1) as page:
+        await page.recv()
+        before = -1
+        while written != before:
+            before = written
+            await asyncio.sleep(0.1)
+        assert 0 < written < 64 << 20
+        page.transport.abort()
 
 
-def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge, "STALL_S", 0.3)
     ended = asyncio.Event()
 
@@ -156,13 +122,10 @@ def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pyte
         except ConnectionError:
             ended.set()
 
-    async def test() -> None:
-        async with tcp(flood) as broker, running(broker) as port:
-            page = await websocket(port, max_queue=1).__aenter__()
-            await ended.wait()
-            page.transport.abort()
-
-    run(test())
+    async with tcp(flood) as broker, running(broker) as port:
+        page = await websocket(port, max_queue=1).__aenter__()
+        await ended.wait()
+        page.transport.abort()
 
 
 @pytest.mark.broker
@@ -188,21 +151,3 @@ def test_height_maps_of_full_size_come_through_mosquitto(tmp_path: Path, tls: bo
                 client.disconnect()
                 client.loop_stop()
     assert set(received) == {payload}
-
-
-@pytest.mark.broker
-@NEEDS_MOSQUITTO
-def test_the_brokers_users_are_the_pages_users(tmp_path: Path) -> None:
-    answers: list[bool] = []
-    with Broker(tmp_path, users={"eve": "right"}) as broker, dashboard(f"127.0.0.1:{broker.port}") as address:
-        for password in ("wrong", "right"):
-            client = client_through(address)
-            client.username_pw_set("eve", password)
-            client.on_connect = lambda _client, _data, _flags, code, _properties: answers.append(not code.is_failure)
-            client.loop_start()
-            before = len(answers)
-            wait_until(lambda before=before: len(answers) > before, 10, "an answer")  # type: ignore[misc]
-            client.disconnect()
-            client.loop_stop()
-    assert answers[0] is False
-    assert answers[-1] is True

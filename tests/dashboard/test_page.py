@@ -9,10 +9,13 @@ also writes the pictures of docs/how-to/dashboard.md.
 
 from __future__ import annotations
 
-import json
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,32 +23,29 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
-from support.browser import browser, errors
-from support.dashboard_process import dashboard
-from support.growing_map import scan
-from support.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
-from support.published_sensor import calibration as calibrated_sensor
-from support.shown_page import (
-    NEEDS_A_BROWSER,
-    daemon,
-    js,
-    mapping,
-    opened,
-    picture,
-    shows,
-    text,
-    until_mapped,
-    until_shown,
-)
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import json_payload, messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
-from tacshade_edge.types import Slip
+from tacshade_edge.types import Reconstruction, Slip, Touch
+from tools.testbed.browser import browser, errors
+from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
+from tools.testbed.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
+from tools.testbed.published_sensor import calibration as calibrated_sensor
+from tools.testbed.shown_page import (
+    NEEDS_A_BROWSER,
+    daemon,
+    js,
+    opened,
+    picture,
+    shows,
+    text,
+    until_shown,
+)
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -104,68 +104,60 @@ def test_the_drawn_depth_is_the_pressed_depth(page: Chrome, tmp_path: Path, cali
     assert len({pixels for *_, pixels in shots.values()}) == len(shots)
 
 
-def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) -> None:
+def test_every_cell_has_the_colour_of_its_depth(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     """A known shape: where it lies, how it falls off, what is outside, and what the pointer reads."""
     row, col = DISC.row_c + 40, DISC.col_c - 60
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        until_shown(page, sensor, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
-        truth = bump(7, 2.6, row, col).height.height_mm
-        scale = js(page, "tacshade.scale_mm")
-        assert scale == 3
-        for r, c in [(row, col), (row + 50, col), (row, col + 90), (DISC.row_c - 180, DISC.col_c)]:
-            shown = js(page, f"tacshade.depthAt({r}, {c})")
-            assert shown == pytest.approx(float(truth[round(r), round(c)]), abs=scale / 255), (r, c)
-        assert js(page, f"tacshade.depthAt({DISC.row_c}, {DISC.col_c + DISC.radius_px + 1})") is None  # NaN
-        assert js(page, f"tacshade.depthAt(1, {COLS - 1})") is None
+    opened(page, address)
+    until_shown(page, sensor, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
+    truth = bump(7, 2.6, row, col).height.height_mm
+    scale = js(page, "tacshade.scale_mm")
+    assert scale == 3
+    for r, c in [(row, col), (row + 50, col), (row, col + 90), (DISC.row_c - 180, DISC.col_c)]:
+        shown = js(page, f"tacshade.depthAt({r}, {c})")
+        assert shown == pytest.approx(float(truth[round(r), round(c)]), abs=scale / 255), (r, c)
+    assert js(page, f"tacshade.depthAt({DISC.row_c}, {DISC.col_c + DISC.radius_px + 1})") is None  # NaN
+    assert js(page, f"tacshade.depthAt(1, {COLS - 1})") is None
 
-        canvas = page.find_element(By.ID, "cells")
-        to_screen = canvas.rect["width"] / (2 * DISC.radius_px)
-        ActionChains(page).move_to_element_with_offset(canvas, round(-60 * to_screen), round(40 * to_screen)).perform()
-        shows(page, "cursor", "2.6")
-        shows(page, "cursor", "± 0.13 mm")
-        shows(page, "cursor", "x -")
-        shows(page, "n-depth", "2.60")
-        shows(page, "objects", "object 1")
+    canvas = page.find_element(By.ID, "cells")
+    to_screen = canvas.rect["width"] / (2 * DISC.radius_px)
+    ActionChains(page).move_to_element_with_offset(canvas, round(-60 * to_screen), round(40 * to_screen)).perform()
+    shows(page, "cursor", "2.6")
+    shows(page, "cursor", "± 0.13 mm")
+    shows(page, "cursor", "x -")
+    shows(page, "n-depth", "2.60")
+    shows(page, "objects", "object 1")
 
-        Select(page.find_element(By.ID, "range")).select_by_value("10")
-        assert js(page, "tacshade.scale_mm") == 10
-        assert js(page, f"tacshade.depthAt({row}, {col})") == pytest.approx(2.6, abs=10 / 255)
-        shows(page, "ticks", "10 mm")
-        Select(page.find_element(By.ID, "range")).select_by_value("auto")
+    Select(page.find_element(By.ID, "range")).select_by_value("10")
+    assert js(page, "tacshade.scale_mm") == 10
+    assert js(page, f"tacshade.depthAt({row}, {col})") == pytest.approx(2.6, abs=10 / 255)
+    shows(page, "ticks", "10 mm")
+    Select(page.find_element(By.ID, "range")).select_by_value("auto")
 
-        until_shown(page, sensor, lambda: bump(8, 0.0, row, col), 8)  # released
-        assert js(page, "tacshade.drawnPeak()") == 0
-        assert text(page, "objects") == ""
+    until_shown(page, sensor, lambda: bump(8, 0.0, row, col), 8)  # released
+    assert js(page, "tacshade.drawnPeak()") == 0
+    assert text(page, "objects") == ""
 
 
-def test_arrows_show_how_the_skin_was_dragged_and_dots_when_it_slides(page: Chrome, tmp_path: Path) -> None:
+def test_arrows_show_how_the_skin_was_dragged_and_dots_when_it_slides(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     row, col = DISC.row_c + 10, DISC.col_c - 20
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        until_shown(page, sensor, lambda: dragged(bump(7, 2.6, row, col, 4), 2.0, -1.0), 7)
-        wait_until(lambda: js(page, "tacshade.arrows") > 0, 15, "arrows")
-        path = js(page, "document.getElementById('arrows').getAttribute('d')")
-        shafts = [tuple(map(float, shaft)) for shaft in re.findall(r"M(\S+) (\S+)L(\S+) (\S+)M", path)]
-        assert len(shafts) == js(page, "tacshade.arrows") < 200
-        longest = max(shafts, key=lambda s: math.hypot(s[2] - s[0], s[3] - s[1]))
-        mm_per_px = calibrated_sensor().geometry.mm_per_px
-        assert (longest[2] - longest[0]) * mm_per_px == pytest.approx(2.0, abs=0.1)
-        assert (longest[3] - longest[1]) * mm_per_px == pytest.approx(-1.0, abs=0.1)
-        assert math.hypot(longest[2] - col, longest[3] - row) < 25
-        picture(page, "arrows", (1280, 900))
-        until_shown(page, sensor, lambda: dragged(bump(8, 2.6, row, col, 4), 2.0, -1.0, Slip.FULL), 8)
-        wait_until(lambda: js(page, "tacshade.slips") > 0, 15, "a slip in the chart")
-        until_shown(page, sensor, lambda: bump(9, 0.0, row, col, 4), 9)
-        assert js(page, "tacshade.arrows") == 0
+    opened(page, address)
+    until_shown(page, sensor, lambda: dragged(bump(7, 2.6, row, col, 4), 2.0, -1.0), 7)
+    wait_until(lambda: js(page, "tacshade.arrows") > 0, 15, "arrows")
+    path = js(page, "document.getElementById('arrows').getAttribute('d')")
+    shafts = [tuple(map(float, shaft)) for shaft in re.findall(r"M(\S+) (\S+)L(\S+) (\S+)M", path)]
+    assert len(shafts) == js(page, "tacshade.arrows") < 200
+    longest = max(shafts, key=lambda s: math.hypot(s[2] - s[0], s[3] - s[1]))
+    mm_per_px = calibrated_sensor().geometry.mm_per_px
+    assert (longest[2] - longest[0]) * mm_per_px == pytest.approx(2.0, abs=0.1)
+    assert (longest[3] - longest[1]) * mm_per_px == pytest.approx(-1.0, abs=0.1)
+    assert math.hypot(longest[2] - col, longest[3] - row) < 25
+    picture(page, "arrows", (1280, 900))
+    until_shown(page, sensor, lambda: dragged(bump(8, 2.6, row, col, 4), 2.0, -1.0, Slip.FULL), 8)
+    wait_until(lambda: js(page, "tacshade.slips") > 0, 15, "a slip in the chart")
+    until_shown(page, sensor, lambda: bump(9, 0.0, row, col, 4), 9)
+    assert js(page, "tacshade.arrows") == 0
 
 
 def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: Path, calibration: Path) -> None:
@@ -191,55 +183,24 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
 
 
-def test_the_profile_that_auto_uses_now_is_shown_as_it_changes(page: Chrome, tmp_path: Path) -> None:
-    def shown() -> str:
-        return str(js(page, "document.getElementById('profile').selectedOptions[0].text"))
-
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-        Subscriber(broker.port, "tacshade/+/req/+") as seen,
-    ):
-        opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online")
-        assert shown() == "fast"
-        for profile in ("accurate", "fast"):
-            sensor.publish_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
-            wait_until(lambda profile=profile: shown() == f"auto (now {profile})", 15, f"auto uses {profile}")
-        Select(page.find_element(By.ID, "profile")).select_by_value("fast")
-        asked = json.loads(seen.wait_for("tacshade/drawn/req/profile")[0])
-        assert asked["profile"] == "fast"
-        sensor.publish_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
-        sensor.publish(
-            "res/profile",
-            json.dumps({"transaction": asked["transaction"], "ok": True, "result": {"profile": "fast"}}).encode(),
-        )
-        shows(page, "answer", "The profile is fast.")
-        wait_until(lambda: shown() == "fast", 15, "a fixed profile")
-
-
-def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(page: Chrome, tmp_path: Path) -> None:
+def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
     picture = cv2.imencode(".jpg", np.full((240, 320), 90, np.uint8))[1].tobytes()
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-        sensor.publish_info("fast", profiles=("fast",), missing=missing)
-        sensor.publish("state", b"degraded", retain=True)
-        sensor.publish("status/camera", messages.encode_status("unusable", missing), retain=True)
-        sensor.publish("health", json_payload.encode_json({"invalid_reason": missing.text}))
-        sensor.publish("preview", picture)
-        shows(page, "state", "degraded camera: not calibrated: found no file")
-        wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
-        assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
-        assert not page.find_element(By.ID, "rezero").is_enabled()
-        sensor.publish_info("fast", profiles=("fast",))
-        wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
+    opened(page, address)
+    wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
+    sensor.publish_info("fast", profiles=("fast",), missing=missing)
+    sensor.publish("state", b"degraded", retain=True)
+    sensor.publish("status/camera", messages.encode_status("unusable", missing), retain=True)
+    sensor.publish("health", json_payload.encode_json({"invalid_reason": missing.text}))
+    sensor.publish("preview", picture)
+    shows(page, "state", "degraded camera: not calibrated: found no file")
+    wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
+    assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
+    assert not page.find_element(By.ID, "rezero").is_enabled()
+    sensor.publish_info("fast", profiles=("fast",))
+    wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
 
 
 def test_several_hands(page: Chrome, tmp_path: Path) -> None:
@@ -270,54 +231,168 @@ def test_several_hands(page: Chrome, tmp_path: Path) -> None:
         assert js(page, "tacshade.sensor") == "index"  # the page does not jump away from what one looks at
 
 
-def test_the_skin_is_drawn_in_space(page: Chrome, tmp_path: Path) -> None:
+def test_the_skin_is_drawn_in_space(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     """Pixels of the 3-D view: something is there, it follows the press, and the boxes switch its parts."""
 
     def pixels() -> str:
         return str(page.find_element(By.ID, "view").screenshot_as_base64)
 
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        assert js(page, "tacshade.webgl")
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
-        empty = pixels()
-        until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300), 1)
-        wait_until(lambda: pixels() != empty, 10, "the skin")
-        pressed = pixels()
-        page.find_element(By.ID, "show-cloud").click()
-        wait_until(lambda: pixels() != pressed, 10, "without the objects")
-        page.find_element(By.ID, "show-skin").click()
-        page.find_element(By.ID, "show-cloud").click()
-        wait_until(lambda: pixels() not in (empty, pressed), 10, "the objects alone")
+    opened(page, address)
+    assert js(page, "tacshade.webgl")
+    wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
+    empty = pixels()
+    until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300), 1)
+    wait_until(lambda: pixels() != empty, 10, "the skin")
+    pressed = pixels()
+    page.find_element(By.ID, "show-cloud").click()
+    wait_until(lambda: pixels() != pressed, 10, "without the objects")
+    page.find_element(By.ID, "show-skin").click()
+    page.find_element(By.ID, "show-cloud").click()
+    wait_until(lambda: pixels() not in (empty, pressed), 10, "the objects alone")
 
 
-@pytest.mark.parametrize(
-    ("name", "size_px", "flags"), [("phone", (400, 850), ()), ("dark", (1400, 1000), ("--force-dark-mode",))]
-)
-def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int], flags: tuple[str, ...]) -> None:
+def boxes(page: Chrome, selector: str) -> list[list[float]]:
+    """Left, top, right and bottom of each on the screen."""
+    found: list[list[float]] = js(
+        page,
+        f"[...document.querySelectorAll('{selector}')].map((e) => e.getBoundingClientRect())"
+        ".map((b) => [b.left, b.top, b.right, b.bottom])",
+    )
+    return found
+
+
+def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
+    width, height = 390, 844
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
         PublishedSensor(broker.port, "left-index") as sensor,
-        browser(tmp_path / "chromium", *flags, size_px=size_px) as page,
+        browser(tmp_path / "chromium") as page,
     ):
-        page.set_window_size(*size_px)
+        device = {"width": width, "height": height, "deviceScaleFactor": 2, "mobile": True}
+        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
+        page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
         opened(page, address)
-        until_shown(page, sensor, lambda: bump(1, 2.4, 200, 360, step_px=4), 1)
-        growing = mapping(sensor, "a" * 60)
-        growing.press(*scan())
-        growing.end("/var/lib/tacshade-edge/maps/" + "a" * 60)
-        until_mapped(page, "a" * 60, 2)
-        width, scrolled = js(page, "[document.documentElement.clientWidth, document.documentElement.scrollWidth]")
-        assert scrolled <= width
-        map_width = page.find_element(By.ID, "cells").rect["width"]
-        assert min(300, 0.8 * width) <= map_width <= width
-        dark = js(page, "getComputedStyle(document.documentElement).backgroundColor") == "rgb(20, 23, 27)"
-        assert dark == (name == "dark")
-        if name == "phone":
-            picture(page, "dashboard-phone")
+        until_shown(page, sensor, lambda: dragged(bump(1, 2.4, DISC.row_c, DISC.col_c, 4), 1.0, 0.0), 1)
+        shows(page, "n-slip", "sticks")
+        for name in ("state", "n-contact", "n-depth", "n-slip", "cells", "bar", "ticks", "cursor"):
+            ((left, top, right, bottom),) = boxes(page, f"#{name}")
+            assert left >= 0 and top >= 0 and right <= width and bottom <= height, name  # noqa: PT018
+            assert right > left and bottom > top, name  # noqa: PT018
+        assert boxes(page, "#cells")[0][2] - boxes(page, "#cells")[0][0] > 300
+        assert js(page, "document.documentElement.scrollWidth") <= width
+        least = js(
+            page,
+            "Math.min(...[...document.querySelectorAll('main button, main select')]"
+            ".filter((e) => e.checkVisibility()).map((e) => e.getBoundingClientRect().height))",
+        )
+        assert least >= 40, "a finger needs this much"
+        picture(page, "dashboard-phone")
         assert errors(page) == []
+
+
+ROW, COL = 236.0, 300.0
+
+
+@contextmanager
+def compared_with(page: Chrome, tmp_path: Path) -> Iterator[tuple[PublishedSensor, PublishedSensor]]:
+    """A page of run-a that compares it with run-b; neither has published a picture."""
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedSensor(broker.port, "run-a") as first,
+        PublishedSensor(broker.port, "run-b") as other,
+    ):
+        opened(page, address, "run-a")
+        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
+        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        yield first, other
+
+
+def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chrome, tmp_path: Path) -> None:
+    with compared_with(page, tmp_path) as (first, other):
+        shows(page, "compare-words", "it has published nothing yet")
+        until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
+
+        def compared() -> bool:
+            other.show(bump(8, 1.5, ROW, COL, 2))  # another profile's cells are smaller
+            return js(page, "tacshade.compared") is not None
+
+        wait_until(compared, 15, "both are there")
+        seen = js(page, "tacshade.compared")
+        assert seen["worst_mm"] == pytest.approx(-0.5, abs=0.01)
+        assert (seen["row"], seen["col"]) == (ROW, COL)
+        heights = [bump(0, depth_mm, ROW, COL, 4).height.height_mm for depth_mm in (2.0, 1.5)]
+        assert seen["mean_mm"] == pytest.approx(np.nanmean(np.abs(heights[1] - heights[0])), rel=0.02)
+        shows(page, "compare-words", "-0.500 mm at worst, at row 236, col 300 px")
+        shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
+        shows(page, "compare-numbers", "frame 7 8")
+        other.publish("state", b"", retain=True)  # gone
+        wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")
+        assert errors(page) == []
+
+
+ROWS = """[...document.querySelectorAll("#touch-numbers > div")].map((row) => ({
+  name: row.querySelector("dt").textContent, value: row.querySelector("dd").textContent, title: row.title,
+  bar: row.querySelector("i").hidden ? null : ["left", "width"].map((end) => row.querySelector("i").style[end])}))"""
+KNOWN = Touch(
+    {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": 2.5}, {"depth_mm": 0.25, "tilt_x_deg": 1.0, "force_z_n": 0.5}
+)
+OUTSIDE = Touch(
+    {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": None},
+    {"depth_mm": 0.25, "tilt_x_deg": 1.0, "force_z_n": None},
+    Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: force_z_n"),
+)
+
+
+def touched(seq: int, touch: Touch | None) -> Reconstruction:
+    return replace(bump(seq, 1.5 if touch else 0.0, DISC.row_c, DISC.col_c, 4), touch=touch)
+
+
+def percent(bar: list[str]) -> list[float]:
+    return [float(part.removesuffix("%")) for part in bar]
+
+
+def test_numbers_have_their_intervals_and_what_is_not_known_says_why(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    assert not page.find_element(By.ID, "touch").is_displayed()
+    page.execute_script("document.getElementById('touch').scrollIntoView()")
+    until_shown(page, sensor, lambda: touched(7, KNOWN), 7)
+    wait_until(lambda: sensor.show(touched(7, KNOWN)) or len(rows(page)) == 3, 15, "the touch")
+    depth, tilt, force = rows(page)
+    assert [row["name"] for row in (depth, tilt, force)] == ["depth", "tilt x", "force z"]
+    assert [row["value"] for row in (depth, tilt, force)] == ["1.50 ± 0.25 mm", "-8.0 ± 1.0 °", "2.50 ± 0.50 N"]
+    assert depth["title"] == "One standard deviation; the bar is from −2 to 2 mm"
+    assert percent(depth["bar"]) == pytest.approx([50 + 50 * 1.25 / 2, 100 * 0.25 / 2])
+    assert percent(tilt["bar"]) == pytest.approx([50 - 50 * 9 / 10, 100 / 10])
+    assert text(page, "touch-words") == ""
+    picture(page, "touch", (1000, 900), top="touch")
+
+    until_shown(page, sensor, lambda: touched(8, OUTSIDE), 8)
+    shows(page, "touch-words", "outside the labelled range: force_z_n")
+    *_, force = rows(page)
+    assert (force["value"], force["title"], force["bar"]) == (
+        "not known",
+        "outside the labelled range: force_z_n",
+        None,
+    )
+
+    before = js(page, "tacshade.undecodable")
+    sensor.publish("touch", b'{"seq":9,"touch":{"depth_mm":"deep"},"touch_sigma":{"depth_mm":1}}')
+    wait_until(lambda: js(page, "tacshade.undecodable") == before + 1, 15, "it is counted")
+
+    odd = Touch({"a_constructor": 0.5}, {"a_constructor": 0.1})
+    until_shown(page, sensor, lambda: touched(9, odd), 9)
+    wait_until(lambda: len(rows(page)) == 1, 15, "one number")
+    assert (rows(page)[0]["name"], rows(page)[0]["value"]) == ("a constructor", "0.50 ± 0.10 ")
+
+    until_shown(page, sensor, lambda: touched(10, None), 10)
+    shows(page, "touch-words", "nothing touches")
+    assert not page.find_element(By.ID, "touch-numbers").is_displayed()
+
+
+def rows(page: Chrome) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = js(page, ROWS)
+    return found

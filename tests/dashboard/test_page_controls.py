@@ -8,13 +8,12 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
-from support.dashboard_process import dashboard
-from support.published_sensor import PublishedSensor, bump
-from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
-from tacshade_edge.protocol import messages
+from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
+from tools.testbed.published_sensor import PublishedSensor, bump
+from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -82,79 +81,38 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
             shows(page, "state", "online")  # it works again: nobody has to look for it
 
 
-def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) -> None:
+def test_a_new_zero_waits_until_nothing_touches(
+    page: Chrome, address: str, sensor: PublishedSensor, seen: Subscriber
+) -> None:
     def label() -> str:
         return text(page, "rezero")
 
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-        Subscriber(broker.port, "tacshade/+/req/+") as seen,
-    ):
+    def asked(count: int, answer: dict[str, object]) -> None:
+        def resting() -> bool:
+            sensor.show(bump(100, 0.0, 200, 300, step_px=4))
+            return len(seen.of("tacshade/drawn/req/reference")) == count
 
-        def asked(count: int, answer: dict[str, object]) -> None:
-            def resting() -> bool:
-                sensor.show(bump(100, 0.0, 200, 300, step_px=4))
-                return len(seen.of("tacshade/drawn/req/reference")) == count
+        wait_until(resting, 15, f"request {count}")
+        body = json.loads(seen.of("tacshade/drawn/req/reference")[-1])
+        sensor.publish("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
 
-            wait_until(resting, 15, f"request {count}")
-            body = json.loads(seen.of("tacshade/drawn/req/reference")[-1])
-            sensor.publish("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
+    page.find_element(By.ID, "rezero").click()
+    assert text(page, "answer") == "Re-zero waits until nothing touches the skin …"
+    assert label() == "Cancel re-zero"
+    picture(page, "rezero-waits", (760, 640), "control")
+    page.find_element(By.ID, "rezero").click()
+    assert (label(), text(page, "answer")) == ("Re-zero", "Cancelled: no new zero.")
+    page.find_element(By.ID, "rezero").click()
+    until_shown(page, sensor, lambda: bump(2, 2.0, 200, 300, step_px=4), 2)
+    assert seen.messages == []
+    asked(1, {"ok": False, "error": "touched", "reason_code": "frame_in_contact"})
+    shows(page, "answer", "waits until nothing touches")  # touched meanwhile: the next rest
+    asked(2, {"ok": True, "result": {"frames": 10}})
+    shows(page, "answer", "Took a new zero from 10 frames.")
 
-        opened(page, address)
-        until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
-        page.find_element(By.ID, "rezero").click()
-        assert text(page, "answer") == "Re-zero waits until nothing touches the skin …"
-        assert label() == "Cancel re-zero"
-        picture(page, "rezero-waits", (760, 640), "control")
-        page.find_element(By.ID, "rezero").click()
-        assert (label(), text(page, "answer")) == ("Re-zero", "Cancelled: no new zero.")
-        page.find_element(By.ID, "rezero").click()
-        until_shown(page, sensor, lambda: bump(2, 2.0, 200, 300, step_px=4), 2)
-        assert seen.messages == []
-        asked(1, {"ok": False, "error": "touched", "reason_code": "frame_in_contact"})
-        shows(page, "answer", "waits until nothing touches")  # touched meanwhile: the next rest
-        asked(2, {"ok": True, "result": {"frames": 10}})
-        shows(page, "answer", "Took a new zero from 10 frames.")
-
-        until_shown(page, sensor, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
-        page.find_element(By.ID, "rezero").click()
-        sensor.publish("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
-        shows(page, "answer", "Cancelled: no new zero.")
-
-
-def test_a_page_that_may_only_look_records_nothing(page: Chrome, tmp_path: Path) -> None:
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}", "--token-file", str(tmp_path / "token")) as told,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        page.get(told)
-        wait_until(lambda: "login" not in page.current_url, 15, "logged in")
-        shows(page, "link", "Connected")
-        sensor.publish("status/recorder", messages.encode_status("idle"), retain=True)
-        wait_until(lambda: page.find_element(By.ID, "recording").is_displayed(), 15, "it tells its recorder")
-        assert not page.find_element(By.NAME, "record").is_enabled()
-
-
-def test_the_skin_in_space_shows_the_map_beside_it(page: Chrome, tmp_path: Path) -> None:
-    """Of a sensor that is faster than the screen, at every picture of the screen."""
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        until_shown(page, sensor, lambda: bump(0, 1.0, 200, 300, step_px=4), 0)
-        page.execute_script(
-            "window.pairs = [];"
-            "const look = () => { pairs.push([tacshade.seq, tacshade.skinSeq]); requestAnimationFrame(look); }; look();"
-        )
-        for last in (30, 60, 90, 120):
-            for seq in range(last - 29, last + 1):
-                sensor.show(bump(seq, 1.0 + seq / 100, 200, 300, step_px=4))
-            wait_until(lambda last=last: js(page, "tacshade.skinSeq") == last, 20, "the newest, in space too")
-        pairs = js(page, "pairs")
-        assert [pair for pair in pairs if pair[0] != pair[1]] == []
-        assert len({seq for seq, _ in pairs}) > 3
+    until_shown(page, sensor, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
+    page.find_element(By.ID, "rezero").click()
+    sensor.publish("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
+    shows(page, "answer", "Cancelled: no new zero.")

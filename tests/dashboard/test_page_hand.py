@@ -180,12 +180,3 @@ def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, Wh
     page.find_elements(By.CSS_SELECTOR, "#whole-maps a")[1].click()
     wait_until(lambda: js(page, "tacshade.sensor") == "index", 15, "the finger alone")
     assert not page.find_element(By.ID, "whole").is_displayed()
-
-
-def test_a_hand_whose_process_is_gone_is_told_and_grey(page: Chrome, hand: tuple[str, WholeHand]) -> None:
-    address, whole = hand
-    opened(page, address, "hand/left")
-    wait_until(lambda: whole.publish(None) or text(page, "whole-state") == "left: online", 15, "it is online")
-    whole.own.publish("tacshade/hand/left/state", b"offline", retain=True)
-    shows(page, "whole-state", "This hand is offline: what you see is old.")
-    assert "is-stale" in str(page.find_element(By.ID, "whole").get_attribute("class"))

@@ -2,125 +2,78 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import threading
-import time
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
-from support.browser import errors
-from support.dashboard_process import dashboard
-from support.growing_map import PAD, scan
-from support.published_sensor import PublishedSensor, bump
-from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 from tacshade_edge.protocol import messages, wire
-from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.growing_map import PAD, scan
+from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import wait_until
+from tools.testbed.published_sensor import PublishedSensor
+from tools.testbed.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 pytestmark = NEEDS_A_BROWSER
 
 
-def frame_of(page: Chrome) -> Any:
-    """Where the map's frame and what is below it are."""
-    return js(page, "['stitched-map', 'health'].map(id => document.getElementById(id).getBoundingClientRect().top)")
-
-
-def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
+def test_the_map_grows_with_its_revisions(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     """From the first press to the final map: every place has the colour of its z, elsewhere there is nothing."""
     x, y = 400.0, -250.0  # of the pad's corner in the base frame
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
-        assert not page.find_element(By.ID, "stitched").is_displayed()
-        growing = mapping(sensor, "pad-1", x_mm=x, y_mm=y)
-        growing.press((14.0, 14.0))
-        until_mapped(page, "pad-1", 1)
-        assert page.find_element(By.ID, "stitched").is_displayed()
-        assert text(page, "stitched-name") == "pad-1, growing"
-        for words in ("presses\n1", "revision\n1", "0.25 mm apart", "size\n12."):
-            shows(page, "stitched-facts", words)
-        assert js(page, f"tacshade.zAt({x + 40}, {y + 14})") is None  # NaN: not yet
-        before = frame_of(page)
-        places = scan()
-        growing.press(*places[:30])
-        until_mapped(page, "pad-1", 2)
-        growing.press(*places[30:])
-        until_mapped(page, "pad-1", 3)
-        assert frame_of(page) == before  # nothing moves while it grows
-        low, high = 0.0, 1.5
-        assert text(page, "stitched-ticks").split() == ["0", "0.5", "1", "1.5", "mm"]
-        for at in [(20.1, 32.1), (20.1, 21.1), (61.6, 20.0), (53.6, 14.0), (60.0, 54.1), (80.1, 28.1)]:
-            # Flat around each: points are thinned and cells lie beside them by up to half a spacing.
-            truth = float(PAD.height_mm(*(np.array([v]) for v in at))[0])
-            shown = js(page, f"tacshade.zAt({x + at[0]}, {y + at[1]})")
-            assert shown == pytest.approx(truth, abs=(high - low) / 255 + 0.01), at
+    opened(page, address)
+    wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
+    assert not page.find_element(By.ID, "stitched").is_displayed()
+    growing = mapping(sensor, "pad-1", x_mm=x, y_mm=y)
+    growing.press((14.0, 14.0))
+    until_mapped(page, "pad-1", 1)
+    assert page.find_element(By.ID, "stitched").is_displayed()
+    assert text(page, "stitched-name") == "pad-1, growing"
+    for words in ("presses\n1", "revision\n1", "0.25 mm apart", "size\n12."):
+        shows(page, "stitched-facts", words)
+    assert js(page, f"tacshade.zAt({x + 40}, {y + 14})") is None  # NaN: not yet
+    places = scan()
+    growing.press(*places[:30])
+    until_mapped(page, "pad-1", 2)
+    growing.press(*places[30:])
+    until_mapped(page, "pad-1", 3)
+    low, high = 0.0, 1.5
+    assert text(page, "stitched-ticks").split() == ["0", "0.5", "1", "1.5", "mm"]
+    for at in [(20.1, 32.1), (20.1, 21.1), (61.6, 20.0), (53.6, 14.0), (60.0, 54.1), (80.1, 28.1)]:
+        # Flat around each: points are thinned and cells lie beside them by up to half a spacing.
+        truth = float(PAD.height_mm(*(np.array([v]) for v in at))[0])
+        shown = js(page, f"tacshade.zAt({x + at[0]}, {y + at[1]})")
+        assert shown == pytest.approx(truth, abs=(high - low) / 255 + 0.01), at
 
-        spacing_mm = js(page, "tacshade.stitched.spacing_mm")
-        assert spacing_mm > 0.25  # more than 20000 points were touched
-        corner = js(page, "[tacshade.stitched.x0_mm, tacshade.stitched.y0_mm]")
-        assert js(page, f"tacshade.zAt({corner[0]}, {corner[1]})") is None
+    spacing_mm = js(page, "tacshade.stitched.spacing_mm")
+    assert spacing_mm > 0.25  # more than 20000 points were touched
+    corner = js(page, "[tacshade.stitched.x0_mm, tacshade.stitched.y0_mm]")
+    assert js(page, f"tacshade.zAt({corner[0]}, {corner[1]})") is None
 
-        growing.end("/var/lib/tacshade-edge/maps/pad-1", rejected=3)
-        until_mapped(page, "pad-1", 4)
-        assert text(page, "stitched-name") == "pad-1, final"
-        shows(page, "stitched-facts", f"{growing.presses}, 3 left out")
-        shows(page, "stitched-facts", "/var/lib/tacshade-edge/maps/pad-1")
+    growing.end("/var/lib/tacshade-edge/maps/pad-1", rejected=3)
+    until_mapped(page, "pad-1", 4)
+    assert text(page, "stitched-name") == "pad-1, final"
+    shows(page, "stitched-facts", f"{growing.presses}, 3 left out")
+    shows(page, "stitched-facts", "/var/lib/tacshade-edge/maps/pad-1")
 
-        # The pointer, on the bar that stands alone: mm from the canvas's frame and what is drawn in it.
-        canvas = page.find_element(By.ID, "stitched-cells")
-        page.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
-        width_mm, length_mm = js(page, "[tacshade.stitched.width_mm, tacshade.stitched.length_mm]")
-        px_per_mm = min(canvas.rect["width"] / width_mm, canvas.rect["height"] / length_mm)
-        right = (x + 60.0 - corner[0] - width_mm / 2) * px_per_mm
-        down = -(y + 54.1 - corner[1] - length_mm / 2) * px_per_mm
-        ActionChains(page).move_to_element_with_offset(canvas, round(right), round(down)).perform()
-        shows(page, "stitched-cursor", "z 1.50 mm")
-        place = text(page, "stitched-cursor").split("x ")[1].split(" mm")[0]
-        assert [float(v) for v in place.split(", y ")] == pytest.approx([x + 60.0, y + 54.1], abs=0.6)
-        picture(page, "dashboard-map", (760, 740), "stitched")
+    # The pointer, on the bar that stands alone: mm from the canvas's frame and what is drawn in it.
+    canvas = page.find_element(By.ID, "stitched-cells")
+    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    width_mm, length_mm = js(page, "[tacshade.stitched.width_mm, tacshade.stitched.length_mm]")
+    px_per_mm = min(canvas.rect["width"] / width_mm, canvas.rect["height"] / length_mm)
+    right = (x + 60.0 - corner[0] - width_mm / 2) * px_per_mm
+    down = -(y + 54.1 - corner[1] - length_mm / 2) * px_per_mm
+    ActionChains(page).move_to_element_with_offset(canvas, round(right), round(down)).perform()
+    shows(page, "stitched-cursor", "z 1.50 mm")
+    place = text(page, "stitched-cursor").split("x ")[1].split(" mm")[0]
+    assert [float(v) for v in place.split(", y ")] == pytest.approx([x + 60.0, y + 54.1], abs=0.6)
+    picture(page, "dashboard-map", (760, 740), "stitched")
 
 
-def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Path) -> None:
-    """Retained: the final map of one session, then beside it the first press of the next, and of another sensor."""
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-        PublishedSensor(broker.port, "other") as other,
-    ):
-        first = mapping(sensor, "first")
-        first.press((20.0, 20.0), (30.0, 20.0))
-        first.end("/maps/first")
-        opened(page, address, "drawn")
-        until_mapped(page, "first", 2)
-        assert text(page, "stitched-name") == "first, final"
-        mapping(sensor, "second").press((60.0, 40.0))
-        until_mapped(page, "second", 1)
-        assert js(page, "tacshade.zAt(20, 20)") is None
-        page.refresh()
-        until_mapped(page, "second", 1)
-        assert text(page, "stitched-name") == "second, growing"
-
-        wait_until(lambda: len(page.find_elements(By.CSS_SELECTOR, "#sensors button")) == 2, 10, "both sensors")
-        page.find_elements(By.CSS_SELECTOR, "#sensors button")[1].click()
-        assert js(page, "[tacshade.sensor, tacshade.stitched]") == ["other", None]
-        assert not page.find_element(By.ID, "stitched").is_displayed()
-        mapping(other, "third").press((60.0, 40.0))
-        until_mapped(page, "third", 1)
-
-
-def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_path: Path) -> None:
+def test_a_stitching_session_is_commanded_through_requests(
+    page: Chrome, address: str, sensor: PublishedSensor, seen: Subscriber
+) -> None:
     def status(state: str, name: str, presses: int) -> None:
         sensor.publish(
             "status/stitching", messages.encode_status(state, None, {"name": name, "presses": presses}), retain=True
@@ -137,109 +90,61 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
         wait_until(lambda: button.is_displayed() and button.is_enabled(), 15, f"{name} can be pressed")
         button.click()
 
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-        Subscriber(broker.port, "tacshade/+/req/+") as seen,
-    ):
-        opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-        assert not page.find_element(By.ID, "session").is_displayed()  # one without poses has no sessions
-        status("idle", "", 0)
-        press("begin")
-        assert asked(1, {"name": "20261121-120000"}) == {"action": "begin"}
-        shows(page, "answer", "Session 20261121-120000 is open")
-        page.find_element(By.NAME, "session").send_keys("pad 1\n")
-        assert asked(2, {}, "NAME: found 'pad 1'") == {"action": "begin", "name": "pad 1"}
-        shows(page, "answer", "NAME: found 'pad 1'")
-        status("open", "pad-1", 3)
-        shows(page, "session", "Stitching pad-1: 3 presses")
-        assert not page.find_element(By.NAME, "begin").is_displayed()
-        press("add")
-        assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
-        shows(page, "answer", "Added press 4.")
-        press("abort")
-        page.switch_to.alert.dismiss()
-        status("ending", "pad-1", 4)
-        wait_until(lambda: not page.find_element(By.NAME, "end").is_enabled(), 15, "nothing more while it ends")
-        status("open", "pad-1", 4)
-        press("end")
-        assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
-        shows(page, "answer", "Made the map of pad-1 from 3 of 4 presses.")
-        press("abort")
-        assert "This deletes its 4 presses" in page.switch_to.alert.text
-        page.switch_to.alert.accept()
-        assert asked(5, {"name": "pad-1", "presses": 4}) == {"action": "abort"}
-        shows(page, "answer", "Deleted session pad-1.")
-        status("idle", "", 0)
-        wait_until(lambda: page.find_element(By.NAME, "begin").is_displayed(), 15, "another can begin")
+    opened(page, address)
+    wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
+    assert not page.find_element(By.ID, "session").is_displayed()  # one without poses has no sessions
+    status("idle", "", 0)
+    press("begin")
+    assert asked(1, {"name": "20261121-120000"}) == {"action": "begin"}
+    shows(page, "answer", "Session 20261121-120000 is open")
+    page.find_element(By.NAME, "session").send_keys("pad 1\n")
+    assert asked(2, {}, "NAME: found 'pad 1'") == {"action": "begin", "name": "pad 1"}
+    shows(page, "answer", "NAME: found 'pad 1'")
+    status("open", "pad-1", 3)
+    shows(page, "session", "Stitching pad-1: 3 presses")
+    assert not page.find_element(By.NAME, "begin").is_displayed()
+    press("add")
+    assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
+    shows(page, "answer", "Added press 4.")
+    press("abort")
+    page.switch_to.alert.dismiss()
+    status("ending", "pad-1", 4)
+    wait_until(lambda: not page.find_element(By.NAME, "end").is_enabled(), 15, "nothing more while it ends")
+    status("open", "pad-1", 4)
+    press("end")
+    assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
+    shows(page, "answer", "Made the map of pad-1 from 3 of 4 presses.")
+    press("abort")
+    assert "This deletes its 4 presses" in page.switch_to.alert.text
+    page.switch_to.alert.accept()
+    assert asked(5, {"name": "pad-1", "presses": 4}) == {"action": "abort"}
+    shows(page, "answer", "Deleted session pad-1.")
+    status("idle", "", 0)
+    wait_until(lambda: page.find_element(By.NAME, "begin").is_displayed(), 15, "another can begin")
 
 
-def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_path: Path) -> None:
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
-        growing = mapping(sensor, "<b>good</b>")
-        growing.press((20.0, 20.0))
-        until_mapped(page, "<b>good</b>", 1)
-        assert text(page, "stitched-name") == "<b>good</b>, growing"
-        fine = {"points": 5, "x0_mm": 0, "y0_mm": 0, "width_mm": 9, "length_mm": 9, "spacing_mm": 0.25}
-        for count, wrong in enumerate(({"width_mm": None}, {"spacing_mm": 0}, {"x0_mm": "here"}, {"length_mm": -1}), 1):
-            told = json.dumps(fine | wrong | {"revision": 10 + count})
-            points = np.zeros((5, 3), np.float32)
-            cloud = wire.encode_map_cloud(points, revision=10 + count, calibration_crc32=1, t_ns=1, wall_ns=2)
-            sensor.publish("map/cloud", cloud)
-            sensor.publish("map/revision", told.encode())
-            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
-        damaged = (("map/final", b"[]"), ("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1]))
-        for topic, payload in damaged:
-            count += 1
-            sensor.publish(topic, payload)
-            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
-        assert js(page, "tacshade.stitched.name") == "<b>good</b>"
-        growing.press((30.0, 20.0))
-        until_mapped(page, "<b>good</b>", 2)
-
-
-def test_maps_of_full_size_are_drawn_as_they_come(page: Chrome, tmp_path: Path) -> None:
-    """Thirty 640x480 maps a second: what the machine cannot draw is dropped and counted, and does not queue up.
-
-    What comes is drawn or replaced by a newer one, and late by no more maps than broker (20 messages) and sockets (to
-    70 MB of buffers) can hold on the way: in maps, so that it holds at any machine's pace.
-    """
-    shown = bump(1, 1.5, 236.0, 328.0, step_px=1)
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        over = threading.Event()
-
-        def publish() -> None:
-            for seq in itertools.count(1):
-                if over.wait(1 / 30):
-                    return
-                sensor.show(replace(shown, seq=seq, t_ns=time.monotonic_ns(), wall_ns=time.time_ns()))
-
-        publisher = threading.Thread(target=publish)
-        publisher.start()
-        try:
-            wait_until(lambda: js(page, "tacshade.maps.drawn") > 20, 60, "maps are drawn")
-            before, began_s = js(page, "tacshade.maps.heard"), time.monotonic()
-            wait_until(lambda: js(page, "tacshade.maps.heard") > before + 60, 60, "more maps")
-            heard_per_s = 60 / (time.monotonic() - began_s)
-            names = ["heard", "drawn", "superseded", "waiting"]
-            heard, drawn, superseded, waiting = js(page, f"[{', '.join(f'tacshade.maps.{name}' for name in names)}]")
-            assert heard == drawn + superseded + waiting
-            assert js(page, "tacshade.undecodable") == 0
-            assert js(page, "tacshade.age_ms") * heard_per_s / 1000 < 130
-            assert errors(page) == []
-        finally:
-            over.set()
-            publisher.join()
+def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
+    growing = mapping(sensor, "<b>good</b>")
+    growing.press((20.0, 20.0))
+    until_mapped(page, "<b>good</b>", 1)
+    assert text(page, "stitched-name") == "<b>good</b>, growing"
+    fine = {"points": 5, "x0_mm": 0, "y0_mm": 0, "width_mm": 9, "length_mm": 9, "spacing_mm": 0.25}
+    for count, wrong in enumerate(({"width_mm": None}, {"spacing_mm": 0}, {"x0_mm": "here"}, {"length_mm": -1}), 1):
+        told = json.dumps(fine | wrong | {"revision": 10 + count})
+        points = np.zeros((5, 3), np.float32)
+        cloud = wire.encode_map_cloud(points, revision=10 + count, calibration_crc32=1, t_ns=1, wall_ns=2)
+        sensor.publish("map/cloud", cloud)
+        sensor.publish("map/revision", told.encode())
+        wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
+    damaged = (("map/final", b"[]"), ("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1]))
+    for topic, payload in damaged:
+        count += 1
+        sensor.publish(topic, payload)
+        wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
+    assert js(page, "tacshade.stitched.name") == "<b>good</b>"
+    growing.press((30.0, 20.0))
+    until_mapped(page, "<b>good</b>", 2)

@@ -5,21 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from support.browser import errors
-from support.dashboard_process import dashboard
-from support.published_sensor import PublishedSensor
+from selenium.webdriver.support.select import Select
 from support.recordings import recorded, write_recording
-from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows
 
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.mqtt_rig import Broker
+from tools.testbed.browser import errors
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import wait_until
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -108,32 +111,82 @@ def test_a_recording_is_played_and_ended_from_the_list(page: Chrome, tmp_path: P
         assert errors(page) == []
 
 
-def test_without_a_folder_or_with_an_empty_one_no_list_is_shown(page: Chrome, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    with Broker(tmp_path) as broker:
-        for words in ((), ("--recordings", str(tmp_path / "empty"))):
-            with dashboard(f"127.0.0.1:{broker.port}", *words) as address:
-                opened(page, address)
-                assert not page.find_element(By.ID, "recordings").is_displayed()
-                page.get("about:blank")
+PERIOD_NS = 33_000_000
 
 
-def test_a_page_that_may_only_look_can_only_download(page: Chrome, tmp_path: Path) -> None:
-    recorded(tmp_path / "recordings", "run")
-    words = "--token-file", str(tmp_path / "token"), "--recordings", str(tmp_path / "recordings")
+def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_path: Path) -> None:
+    def control(name: str) -> str:
+        return f"document.getElementById('playback').elements.{name}"
+
+    def press(name: str) -> None:
+        wait_until(lambda: js(page, f"!{control(name)}.disabled"), 15, f"{name} can be pressed")
+        page.find_element(By.NAME, name).click()
+
+    def wind(to_s: float) -> None:
+        slider = control("position")
+        wait_until(lambda: js(page, f"!{slider}.disabled"), 15, "it can be wound")
+        page.execute_script(f"{slider}.value = {to_s}; {slider}.dispatchEvent(new Event('change'))")
+
+    def is_in_step() -> bool:
+        mine, others, *_ = text(page, "compare-numbers").partition("frame ")[2].split()
+        return mine == others
+
+    calibration_file.save(tmp_path / "cal.npz", painted_calibration())
+    write_recording(tmp_path / "rec", [FREE] * 5 + [TOUCHED] * 290 + [FREE] * 5, PERIOD_NS)
+    command = [sys.executable, "-m", "tacshade_edge", "replay", str(tmp_path / "rec"), "--play"]
+    command += ["--calibration", str(tmp_path / "cal.npz")]
     with (
         Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}", *words) as told,
-        PublishedSensor(broker.port),
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        Subscriber(broker.port, "tacshade/run-a/+/+") as seen,
     ):
-        page.get(told)
-        wait_until(lambda: "login" not in page.current_url, 15, "logged in")
-        wait_until(lambda: names(page) == ["run"], 15, "the list")
-        able = js(page, "[...document.querySelectorAll('#recordings button:enabled')].map((b) => b.textContent)")
-        assert able == ["Download"]
-        page.execute_script(
-            "const b = document.querySelector('[aria-label=\"Delete run\"]'); b.disabled = false;"
-            "window.confirm = () => true; b.click()"
+        command += ["--mqtt", f"127.0.0.1:{broker.port}"]
+        child, other = (
+            subprocess.Popen([*command, "--sensor-id", name, "--profile", profile], stdout=subprocess.DEVNULL)
+            for name, profile in (("run-a", "balanced"), ("run-b", "fast"))
         )
-        shows(page, "recordings-words", "read-only: this dashboard forwards no requests")
-        assert (tmp_path / "recordings/run").is_dir()
+        try:
+            opened(page, address, "run-a")
+            wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
+            Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+            shows(page, "compare-numbers", "profile balanced fast")
+            shows(page, "playback", " of 9.87 s")
+            press("play")
+            wait_until(lambda: js(page, f"{control('play')}.textContent") == "Play", 15, "paused")
+            assert not page.find_element(By.ID, "rezero").is_enabled()
+            wait_until(is_in_step, 15, "the other is paused at the same frame")
+            wind(3.0)
+            wait_until(lambda: js(page, "tacshade.seq") == 91, 15, "the first frame from 3.0 s on")
+            shows(page, "playback", "frame 91")
+            press("step")
+            wait_until(lambda: js(page, "tacshade.seq") == 92, 15, "the next frame")
+            wait_until(lambda: js(page, "tacshade.seq") == 92 and is_in_step(), 15, "of both")
+            press("back")
+            wait_until(lambda: js(page, "tacshade.seq") == 91 and is_in_step(), 15, "the frame before, of both")
+            picture(page, "dashboard-compare", (1280, 640), "compare")
+            # One who comes while both are paused has their pictures too.
+            page.refresh()
+            wait_until(lambda: js(page, "window.tacshade && tacshade.seq") == 91, 15, "the picture of the paused run")
+            Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+            wait_until(lambda: js(page, "tacshade.compared") is not None and is_in_step(), 15, "and of the other")
+            assert "heights are" in text(page, "compare-words")
+            wind(1.0)
+            wait_until(lambda: js(page, "tacshade.seq") == 31, 15, "an earlier frame")
+            shows(page, "playback", "1.02 s of 9.87 s, frame 31")
+            picture(page, "dashboard-playback", (760, 420), "control")
+            assert js(page, "document.getElementById('stale').hidden")  # it is paused, not late
+            Select(page.find_element(By.CSS_SELECTOR, "#playback [name=speed]")).select_by_visible_text("4 ×")
+            wait_until(lambda: b'"speed":4' in seen.of("tacshade/run-a/status/replay")[-1], 15, "faster")
+            press("play")
+            wait_until(lambda: js(page, "tacshade.seq") > 100, 15, "it goes on")
+            wait_until(lambda: js(page, f"{control('play')}.textContent") == "Play", 15, "the end is a pause")
+            press("play")
+            wait_until(lambda: 0 < js(page, "tacshade.seq") < 250, 15, "from the beginning")
+            child.send_signal(signal.SIGINT)
+            assert child.wait(patience(20)) == 0
+        finally:
+            for process in (child, other):
+                process.kill()
+                process.wait()
+        wait_until(lambda: not page.find_element(By.ID, "playback").is_displayed(), 15, "nothing to play")
+        assert all(b'"ok":true' in reply for reply in seen.of("tacshade/run-a/res/replay"))

@@ -81,95 +81,79 @@ def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Pa
             chromium.get("about:blank")
 
 
-def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: Path) -> None:
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-        Subscriber(broker.port, "tacshade/+/req/+") as seen,
-    ):
-        opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-        page.find_element(By.ID, "rezero").click()
-        asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
-        sensor.publish(
-            "res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode()
-        )
-        sensor.publish("res/reference", b"no JSON")
-        sensor.publish(
-            "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
-        )
-        wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
-        page.find_element(By.ID, "rezero").click()
-        shows(page, "answer", "no answer within 8 s", 20)
+def test_what_a_hand_refuses_or_does_not_answer_is_told(
+    page: Chrome, address: str, sensor: PublishedSensor, seen: Subscriber
+) -> None:
+    opened(page, address)
+    wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
+    page.find_element(By.ID, "rezero").click()
+    asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
+    sensor.publish("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
+    sensor.publish("res/reference", b"no JSON")
+    sensor.publish(
+        "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
+    )
+    wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
+    page.find_element(By.ID, "rezero").click()
+    shows(page, "answer", "no answer within 8 s", 20)
 
 
-def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: Path) -> None:
+def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     evil = '<img src=x onerror="document.title=1"> & <b>bold</b>'
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
-    ):
-        opened(page, address)
-        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
-        unfold_health(page)
-        assert js(page, "tacshade.undecodable") == 0
-        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
-        for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
-            sensor.publish("height", damaged)
-            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
-        for topic in ("health", "contact", "status/camera", "info"):
-            for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
-                sensor.publish(topic, payload)
-        sensor.publish("preview", b"no JPEG")
-        sensor.publish("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
-        sensor.publish("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
-        shows(page, "parts", evil)
-        shows(page, "state", evil)
-        shows(page, "tables", "61.5")
-        until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
-        assert page.title == "drawn – TacShade"
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+    unfold_health(page)
+    assert js(page, "tacshade.undecodable") == 0
+    sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+    for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
+        sensor.publish("height", damaged)
+        wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
+    for topic in ("health", "contact", "status/camera", "info"):
+        for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
+            sensor.publish(topic, payload)
+    sensor.publish("preview", b"no JPEG")
+    sensor.publish("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+    sensor.publish("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
+    shows(page, "parts", evil)
+    shows(page, "state", evil)
+    shows(page, "tables", "61.5")
+    until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+    assert page.title == "drawn – TacShade"
 
 
-def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: Path) -> None:
+def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     """What froze the page for seconds, each time it was drawn, and what was an uncaught exception."""
     long = "x y " * 50_000
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port) as sensor,
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+    unfold_health(page)
+    sensor.publish("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
+    sensor.publish("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
+    shows(page, "state", "(200000 characters)")
+    shows(page, "tables", "more")
+    assert len(text(page, "state")) < 1000
+    assert len(text(page, "parts")) < 1500
+    assert js(page, "document.querySelectorAll('#tables tr').length") < 200
+    for part in range(100):
+        sensor.publish(f"status/p{part}", b'{"state": "x"}')
+    sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+    before = js(page, "tacshade.undecodable")
+    hostile = [grid_message(sound, rows, cols, step_px) for rows, cols, step_px in GRIDS]
+    for count, payload in enumerate(hostile, 1):
+        known = js(page, "tacshade.undecodable")
+        sensor.publish("height", payload)
+        wait_until(lambda known=known: js(page, "tacshade.undecodable") > known, 10, f"{count} counted")
+    for topic, payload in (
+        ("info", {"profiles": 5, "geometry": {"radius_px": 0}}),
+        ("contact", {"contact": 1, "depth_max_mm": "deep", "x_mm": {}}),
+        ("status/replay", {"state": "playing", "position_s": "late"}),
     ):
-        opened(page, address)
-        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
-        unfold_health(page)
-        sensor.publish("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
-        sensor.publish("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
-        shows(page, "state", "(200000 characters)")
-        shows(page, "tables", "more")
-        assert len(text(page, "state")) < 1000
-        assert len(text(page, "parts")) < 1500
-        assert js(page, "document.querySelectorAll('#tables tr').length") < 200
-        for part in range(100):
-            sensor.publish(f"status/p{part}", b'{"state": "x"}')
-        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
-        before = js(page, "tacshade.undecodable")
-        hostile = [grid_message(sound, rows, cols, step_px) for rows, cols, step_px in GRIDS]
-        for count, payload in enumerate(hostile, 1):
-            known = js(page, "tacshade.undecodable")
-            sensor.publish("height", payload)
-            wait_until(lambda known=known: js(page, "tacshade.undecodable") > known, 10, f"{count} counted")
-        for topic, payload in (
-            ("info", {"profiles": 5, "geometry": {"radius_px": 0}}),
-            ("contact", {"contact": 1, "depth_max_mm": "deep", "x_mm": {}}),
-            ("status/replay", {"state": "playing", "position_s": "late"}),
-        ):
-            sensor.publish(topic, json.dumps(payload).encode())
-        wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
-        shows(page, "tables", f"messages that the page could not read {js(page, 'tacshade.undecodable')}")
-        assert js(page, "document.querySelectorAll('#parts p').length") <= 32
-        until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
-        assert errors(page) == []
+        sensor.publish(topic, json.dumps(payload).encode())
+    wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
+    shows(page, "tables", f"messages that the page could not read {js(page, 'tacshade.undecodable')}")
+    assert js(page, "document.querySelectorAll('#parts p').length") <= 32
+    until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+    assert errors(page) == []
 
 
 def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:

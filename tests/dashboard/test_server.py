@@ -9,7 +9,7 @@ import ssl
 from pathlib import Path
 
 import pytest
-from support.page_server import answer, echo, get, run, running, tcp, websocket
+from support.page_server import answer, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tacshade_edge.dashboard import files
@@ -19,24 +19,21 @@ from tools.testbed.certificate import certificate
 STATIC = Path(files.__file__).parent / "static"
 
 
-def test_the_page_and_all_that_it_names_is_served() -> None:
-    async def test() -> None:
-        async with running() as port:
-            status, headers, index = await get(port, "/")
-            assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
-            assert index == (STATIC / "index.html").read_bytes()
-            named = re.findall(r'(?:src|href)="([^"]+)"', index.decode())
-            named += re.findall(r'"three": "\./([^"]+)"', index.decode())
-            for script in STATIC.glob("*.js"):
-                named += re.findall(r'from "\./([^"]+)"', script.read_text())
-            types = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8", "svg": "image/svg+xml"}
-            assert len(set(named)) > 10
-            for name in set(named):
-                status, headers, body = await get(port, f"/{name}?v=1")
-                assert (status, headers["content-type"]) == (200, types[name.rpartition(".")[2]]), name
-                assert body == (STATIC / name).read_bytes()
-
-    run(test())
+async def test_the_page_and_all_that_it_names_is_served() -> None:
+    async with running() as port:
+        status, headers, index = await get(port, "/")
+        assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
+        assert index == (STATIC / "index.html").read_bytes()
+        named = re.findall(r'(?:src|href)="([^"]+)"', index.decode())
+        named += re.findall(r'"three": "\./([^"]+)"', index.decode())
+        for script in STATIC.glob("*.js"):
+            named += re.findall(r'from "\./([^"]+)"', script.read_text())
+        types = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8", "svg": "image/svg+xml"}
+        assert len(set(named)) > 10
+        for name in set(named):
+            status, headers, body = await get(port, f"/{name}?v=1")
+            assert (status, headers["content-type"]) == (200, types[name.rpartition(".")[2]]), name
+            assert body == (STATIC / name).read_bytes()
 
 
 def test_nothing_is_named_that_is_not_here() -> None:
@@ -45,15 +42,12 @@ def test_nothing_is_named_that_is_not_here() -> None:
         assert re.findall(r"(?:https?:)?//[a-z0-9-]+\.[a-z]", path.read_text()) == [], path.name
 
 
-def test_a_file_is_sent_once() -> None:
-    async def test() -> None:
-        async with running() as port:
-            _, headers, _ = await get(port, "/main.js")
-            status, again, body = await get(port, "/main.js", f"If-None-Match: {headers['etag']}")
-            assert (status, body, again["etag"]) == (304, b"", headers["etag"])
-            assert (await get(port, "/main.js", 'If-None-Match: "other"'))[0] == 200
-
-    run(test())
+async def test_a_file_is_sent_once() -> None:
+    async with running() as port:
+        _, headers, _ = await get(port, "/main.js")
+        status, again, body = await get(port, "/main.js", f"If-None-Match: {headers['etag']}")
+        assert (status, body, again["etag"]) == (304, b"", headers["etag"])
+        assert (await get(port, "/main.js", 'If-None-Match: "other"'))[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -74,116 +68,95 @@ def test_a_file_is_sent_once() -> None:
         "http://127.0.0.1/main.js",
     ],
 )
-def test_what_is_not_in_the_table_does_not_exist(path: str) -> None:
-    async def test() -> None:
-        async with running() as port:
-            assert (await get(port, path))[0] == 404
-
-    run(test())
+async def test_what_is_not_in_the_table_does_not_exist(path: str) -> None:
+    async with running() as port:
+        assert (await get(port, path))[0] == 404
 
 
-def test_the_page_may_load_its_own_files_only() -> None:
-    async def test() -> None:
-        async with running() as port:
-            for path in ("/", "/main.js", "/none"):
-                headers = (await get(port, path))[1]
-                policy = headers["content-security-policy"]
-                assert "default-src 'none'" in policy
-                assert "frame-ancestors 'none'" in policy
-                assert "unsafe" not in policy
-                assert headers["x-content-type-options"] == "nosniff"
-            # The one inline script is allowed by its hash, so the hash has to be that of the page as it is.
-            assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count('<script type="importmap">')
-
-    run(test())
+async def test_the_page_may_load_its_own_files_only() -> None:
+    async with running() as port:
+        for path in ("/", "/main.js", "/none"):
+            headers = (await get(port, path))[1]
+            policy = headers["content-security-policy"]
+            assert "default-src 'none'" in policy
+            assert "frame-ancestors 'none'" in policy
+            assert "unsafe" not in policy
+            assert headers["x-content-type-options"] == "nosniff"
+        # The one inline script is allowed by its hash, so the hash has to be that of the page as it is.
+        assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count('<script type="importmap">')
 
 
 @pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "TRACE", "OPTIONS", "PATCH", "get", "X"])
 @pytest.mark.parametrize("path", ["/", "/main.js", "/none", "/mqtt"])
-def test_other_methods_than_get_and_head_are_not_allowed(method: str, path: str) -> None:
-    async def test() -> None:
-        async with running() as port:
-            said = await answer(port, f"{method} {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
-            assert said.startswith(b"HTTP/1.1 405 ")
-            assert b"\r\nAllow: GET, HEAD\r\n" in said
-
-    run(test())
+async def test_other_methods_than_get_and_head_are_not_allowed(method: str, path: str) -> None:
+    async with running() as port:
+        said = await answer(port, f"{method} {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+        assert said.startswith(b"HTTP/1.1 405 ")
+        assert b"\r\nAllow: GET, HEAD\r\n" in said
 
 
-def test_head_is_get_without_the_body() -> None:
-    async def test() -> None:
-        async with running() as port:
-            for path in ("/main.js", "/none"):
-                got = await answer(port, f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
-                head = await answer(port, f"HEAD {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
-                assert head == got.partition(b"\r\n\r\n")[0] + b"\r\n\r\n"
-
-    run(test())
+async def test_head_is_get_without_the_body() -> None:
+    async with running() as port:
+        for path in ("/main.js", "/none"):
+            got = await answer(port, f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+            head = await answer(port, f"HEAD {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+            assert head == got.partition(b"\r\n\r\n")[0] + b"\r\n\r\n"
 
 
-def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker) as port:
-            pages = [await websocket(port).__aenter__() for _ in range(PAGES_MAX)]
-            with pytest.raises(InvalidStatus) as refused:
-                await websocket(port).__aenter__()
-            assert refused.value.response.status_code == 503
-            assert refused.value.response.body == b"16 pages are already open, the limit\n"
-            assert (await get(port, "/"))[0] == 200
-            await pages.pop().close()
-            async with websocket(port) as page:
-                await page.send(b"hello")
-                assert await page.recv() == b"hello"
-            for page in pages:
-                page.transport.abort()
-
-    run(test())
+async def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
+    async with tcp(echo) as broker, running(broker) as port:
+        pages = [await websocket(port).__aenter__() for _ in range(PAGES_MAX)]
+        with pytest.raises(InvalidStatus) as refused:
+            await websocket(port).__aenter__()
+        assert refused.value.response.status_code == 503
+        assert refused.value.response.body == b"16 pages are already open, the limit\n"
+        assert (await get(port, "/"))[0] == 200
+        await pages.pop().close()
+        async with websocket(port) as page:
+            await page.send(b"hello")
+            assert await page.recv() == b"hello"
+        for page in pages:
+            page.transport.abort()
     told = [record.getMessage() for record in caplog.records]
     assert told == ["rejected a connection (1 so far): 16 pages are already open, the limit"]
 
 
-def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
-    async def test() -> None:
-        async with running() as port:
-            mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
-            assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""
-            for _, writer in mute:
-                writer.close()
-            while (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[:12] != b"HTTP/1.1 200":
-                await asyncio.sleep(0.01)
-
-    run(test())
+async def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
+    async with running() as port:
+        mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
+        assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""
+        for _, writer in mute:
+            writer.close()
+        while (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[:12] != b"HTTP/1.1 200":
+            await asyncio.sleep(0.01)
     assert (
         caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
     )
 
 
-def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
+async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
     ping = b"\x89\xfd\0\0\0\0" + bytes(125)
 
-    async def test() -> None:
-        async with tcp(echo) as broker, running(broker) as port:
-            reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
-            key = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n"
-            upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            writer.write(b"GET /mqtt HTTP/1.1\r\nHost: a\r\n" + upgrade + key + b"\r\n")
-            await reader.readexactly(12)
-            reader._transport.pause_reading()  # type: ignore[attr-defined]
+    async with tcp(echo) as broker, running(broker) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
+        key = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n"
+        upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        writer.write(b"GET /mqtt HTTP/1.1\r\nHost: a\r\n" + upgrade + key + b"\r\n")
+        await reader.readexactly(12)
+        reader._transport.pause_reading()  # type: ignore[attr-defined]
 
-            async def flood() -> None:
-                while True:
-                    writer.write(ping * 1000)
-                    await writer.drain()
+        async def flood() -> None:
+            while True:
+                writer.write(ping * 1000)
+                await writer.drain()
 
-            with pytest.raises(ConnectionError):
-                await flood()
-            assert (await get(port, "/"))[0] == 200
-
-    run(test())
+        with pytest.raises(ConnectionError):
+            await flood()
+        assert (await get(port, "/"))[0] == 200
     assert len(caplog.records) < 10
 
 
-def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+async def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     cert, key = certificate(tmp_path)
     offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     offered.load_cert_chain(cert, key)
@@ -199,44 +172,35 @@ def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptu
         writer.close()
         return said
 
-    async def test() -> None:
-        async with running(tls=offered) as port:
-            mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
-            assert await index(port) == b""
-            for _, writer in mute:
-                writer.close()
-            while (await index(port))[:12] != b"HTTP/1.1 200":
-                await asyncio.sleep(0.01)
-
-    run(test())
+    async with running(tls=offered) as port:
+        mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
+        assert await index(port) == b""
+        for _, writer in mute:
+            writer.close()
+        while (await index(port))[:12] != b"HTTP/1.1 200":
+            await asyncio.sleep(0.01)
     assert (
         caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
     )
 
 
-def test_the_page_is_told_when_it_may_only_look() -> None:
-    async def test() -> None:
-        async with running() as port, running(read_only=True) as read_only:
-            _, told, plain = await get(port, "/")
-            _, other, marked = await get(read_only, "/")
-            assert plain.replace(b'<html lang="en">', b'<html lang="en" data-read-only>') == marked != plain
-            assert told["etag"] != other["etag"]
-
-    run(test())
+async def test_the_page_is_told_when_it_may_only_look() -> None:
+    async with running() as port, running(read_only=True) as read_only:
+        _, told, plain = await get(port, "/")
+        _, other, marked = await get(read_only, "/")
+        assert plain.replace(b'<html lang="en">', b'<html lang="en" data-read-only>') == marked != plain
+        assert told["etag"] != other["etag"]
 
 
-def test_it_stops_with_open_connections() -> None:
-    async def test() -> None:
-        async with tcp(echo) as broker:
-            async with running(broker) as port:
-                pages = [await websocket(port).__aenter__() for _ in range(3)]
-                began = asyncio.get_running_loop().time()
-            assert asyncio.get_running_loop().time() - began < 5  # it is 0.01 s; a close time-out would be 10
-            for page in pages:
-                with pytest.raises(ConnectionClosed):
-                    await page.recv()
-
-    run(test())
+async def test_it_stops_with_open_connections() -> None:
+    async with tcp(echo) as broker:
+        async with running(broker) as port:
+            pages = [await websocket(port).__aenter__() for _ in range(3)]
+            began = asyncio.get_running_loop().time()
+        assert asyncio.get_running_loop().time() - began < 5  # it is 0.01 s; a close time-out would be 10
+        for page in pages:
+            with pytest.raises(ConnectionClosed):
+                await page.recv()
 
 
 def test_vendored_files_are_the_ones_that_are_listed() -> None:
