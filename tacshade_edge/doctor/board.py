@@ -1,15 +1,36 @@
-"""Checks the board: power, heat and the processor's governor. No finding if the machine reports none of these."""
+"""Checks the board itself: power, heat and governor, clocks, disk; and the facts that name it in a report."""
 
 from __future__ import annotations
 
-from tacshade_edge.doctor.finding import Finding, ok, warning
-from tacshade_edge.doctor.machine import Machine
+import ctypes
+import os
+import platform
+import re
+import time
+from pathlib import Path
 
-_THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
-_CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
+from tacshade_edge.doctor import Finding, fault, ok, warning
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.quoting import escaped
+from tacshade_edge.version import installed_version
+
 # Bits of get_throttled for the present state; the same bits 16 higher are for the time since boot.
 _UNDER_VOLTAGE, _CAPPED, _SLOWED, _HOT = 1, 2, 4, 8
 _OWN_SCALING = ("intel_pstate", "amd-pstate-epp")  # their `powersave` follows the load
+_TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
+_TIMEX_BYTES = 512  # struct timex has at most 208; all zero, it reads the state and changes nothing
+_FINE_S = 1e-6
+_DAY_S = 86400
+_FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
+_WORN = 9  # of 10 steps in JEDEC's estimate of an eMMC's used life
+THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+_CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
+MODEL = "/proc/device-tree/model"
+# Arm's "CPU part" in /proc/cpuinfo for the boards that the documents name.
+_ARM_PARTS = {"0xd03": "Cortex-A53", "0xd08": "Cortex-A72", "0xd0b": "Cortex-A76"}
+# Bits of get_throttled for the time since boot, after a shift right by 16.
+_SINCE_START = {1: "under-voltage", 2: "capped", 4: "throttled", 8: "hot"}
+_TEXT_MAX = 80
 
 
 def check_board(machine: Machine) -> tuple[Finding, ...]:
@@ -18,7 +39,7 @@ def check_board(machine: Machine) -> tuple[Finding, ...]:
 
 
 def _power(machine: Machine) -> tuple[Finding, ...]:
-    text = machine.read(_THROTTLED)
+    text = machine.read(THROTTLED)
     if not text:
         return ()
     flags = int(text, 16)
@@ -40,3 +61,122 @@ def _governor(machine: Machine) -> tuple[Finding, ...]:
         return ()
     fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
     return (warning("board", "the powersave governor keeps the processor at its lowest speed", fix),)
+
+
+def check_clock() -> tuple[Finding, ...]:
+    """Check this machine's clocks."""
+    installed_s = Path(__file__).stat().st_mtime
+    return judge_clock(time.time(), installed_s, synchronised(), time.get_clock_info("monotonic").resolution)
+
+
+def synchronised() -> bool | None:
+    """Whether any program synchronises the kernel's clock, with or without systemd; None if the kernel reports none."""
+    state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
+    return None if state < 0 else state != _TIME_ERROR
+
+
+def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolution_s: float) -> tuple[Finding, ...]:
+    """Findings on the wall clock's time, its synchronisation, and the monotonic clock's resolution."""
+    today = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
+    keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
+    if now_s < installed_s - _DAY_S:
+        since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
+        found = f"the date is {today}, but this program was installed on {since}, so times and file names will be wrong"
+        wall = fault(
+            "clock", found, f"{keep}; a board without a battery-backed clock loses the time when it is switched off"
+        )
+    elif synced is False:
+        found = (
+            f"{today}, not synchronised: times in messages and recordings may be wrong; measurements are not affected"
+        )
+        wall = warning("clock", found, keep)
+    else:
+        known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
+        wall = ok("clock", f"{today}, {known}")
+    if resolution_s <= _FINE_S:
+        return (wall,)
+    coarse = f"the monotonic clock counts in steps of {1e6 * resolution_s:g} µs"
+    return wall, warning("clock", coarse, "boot a kernel with high-resolution timers (remove highres=off)")
+
+
+def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
+    """Findings on the file system of `folder` (or of its nearest existing parent) and on the storage's wear."""
+    existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
+    status = os.statvfs(existing)
+    read_only = bool(status.f_flag & os.ST_RDONLY)
+    return (*judge_disk(folder, status.f_bavail * status.f_frsize, read_only), *check_wear(machine))
+
+
+def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
+    """Findings on what statvfs(2) reports."""
+    if read_only:
+        fix = (
+            "remount the file system read-write; "
+            "if the kernel made it read-only, the card may be failing (see sudo dmesg)"
+        )
+        return (fault("disk", f"{folder} is on a read-only file system", fix),)
+    free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
+    clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
+    if free_bytes < _FULL_BYTES:
+        return (fault("disk", f"{free}, too little to write a calibration", clear),)
+    if free_bytes < _LOW_BYTES:
+        return (warning("disk", f"{free}; recordings will soon fill the disk", clear),)
+    return (ok("disk", free),)
+
+
+def check_wear(machine: Machine) -> tuple[Finding, ...]:
+    """A warning for each eMMC that reports being near its end of life; SD cards do not report it."""
+    worn = []
+    for block in machine.names("/sys/block", "mmcblk*"):
+        steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
+        if max(steps, default=0) >= _WORN:
+            found = f"{block.name} has used at least {10 * (max(steps) - 1)} % of its life"
+            worn.append(warning("disk", found, "back up important files and replace this storage soon"))
+    return tuple(worn)
+
+
+def board_facts(machine: Machine) -> dict[str, str]:
+    """Return board, processor and software by name, without what cannot be read."""
+    cpuinfo, release = machine.read("/proc/cpuinfo"), machine.read("/etc/os-release")
+    part = _field(cpuinfo, "CPU part")
+    cores = len(os.sched_getaffinity(0))
+    mhz = machine.read(f"{_CPU}/cpuinfo_max_freq")
+    facts = {
+        "board": machine.read(MODEL).rstrip("\0") or f"{platform.machine()} machine",
+        "processor": _field(cpuinfo, "model name") or _ARM_PARTS.get(part, part and f"Arm, part {part}"),
+        "cores": f"{cores}, up to {int(mhz) // 1000} MHz" if mhz.isdecimal() else str(cores),
+        "governor": machine.read(f"{_CPU}/scaling_governor"),
+        "memory": _memory(machine.read("/proc/meminfo")),
+        "system": _field(release, "PRETTY_NAME", "=").strip('"'),
+        "kernel": f"{platform.release()}, {platform.machine()}",
+        "Python": platform.python_version(),
+        "tacshade-edge": installed_version(),
+    }
+    return {name: escaped(text.replace("|", "/"), _TEXT_MAX) for name, text in facts.items() if text}
+
+
+def heat(machine: Machine) -> str:
+    """Return the processor's temperature and any throttling since boot; empty if neither can be read."""
+    zones = [zone for zone in machine.names("/sys/class/thermal", "thermal_zone*") if _is_processor(machine, zone.name)]
+    read = [machine.read(f"/sys/class/thermal/{zone.name}/temp") for zone in zones]
+    degrees = [int(text) / 1000 for text in read if re.fullmatch(r"\d+", text)]
+    said = [f"{max(degrees):.0f} °C"] if degrees else []
+    if flags := machine.read(THROTTLED):
+        found = [word for bit, word in _SINCE_START.items() if int(flags, 16) >> 16 & bit]
+        said.append(f"{' and '.join(found)} since boot" if found else "never throttled since boot")
+    return ", ".join(said)
+
+
+def _is_processor(machine: Machine, zone: str) -> bool:
+    return re.search(r"cpu|soc|x86_pkg", machine.read(f"/sys/class/thermal/{zone}/type")) is not None
+
+
+def _field(text: str, name: str, sign: str = ":") -> str:
+    """Return the value of the first line ``name : value``; empty if there is none."""
+    found = re.search(rf"^{re.escape(name)}\s*{sign}\s*(.+)$", text, re.MULTILINE)
+    return found[1].strip() if found else ""
+
+
+def _memory(meminfo: str) -> str:
+    found = re.search(r"^MemTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
+    return f"{int(found[1]) / 2**20:.1f} GiB" if found else ""

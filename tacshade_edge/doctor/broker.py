@@ -18,7 +18,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
 from tacshade_edge.devices.mqtt.client import BrokerAddress, make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.client_id_guard import place_of
-from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.strict import decode_object

@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import msgspec
 
-from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.doctor import Finding
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.protocol.messages import encode_info

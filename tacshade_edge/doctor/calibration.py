@@ -12,8 +12,8 @@ from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import fixes
-from tacshade_edge.doctor.finding import Finding, fault, ok, warning
-from tacshade_edge.doctor.settings import AS_SERVICE
+from tacshade_edge.doctor import Finding, fault, ok, warning
+from tacshade_edge.doctor.machine import AS_SERVICE
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor

@@ -1,30 +1,27 @@
-"""Checks the camera: its node, the modes it offers, and the frames it delivers."""
+"""Checks the camera: its node and names, the modes it offers, and the frames that it delivers."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import shutil
-from dataclasses import replace
+import subprocess
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 
 from tacshade_edge.core.frame_check.validity import FLAT_STD, SATURATED_PART, frame_check, invalid_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
-from tacshade_edge.doctor.cameras import (
-    CSI_FIX,
-    card_name,
-    csi_cameras,
-    found_cameras,
-    has_csi_receiver,
-    is_csi,
-    stable_name,
-)
-from tacshade_edge.doctor.capture import Captured
-from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -43,6 +40,19 @@ _PICTURE_FIXES = {
     ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
     ReasonCode.NO_CONTRAST: "is the camera inside the sensor, in focus, with its light on?",
 }
+# Best first. This project's udev rules add the names by USB port in /dev/tacshade.
+_NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
+# A Raspberry Pi's own nodes: its CSI receivers, and those that every Pi has with or without a camera.
+CSI_RECEIVERS = ("unicam", "rp1-cfe")
+_OWN_NODES = (*CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
+CSI_FIX = (
+    "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: set source: {kind: rpicam, camera: 0}"
+)
+_LIST_S = 2.5
+FRAMES = 30
+LIMIT_S = 3.0
+_IMAGES_KEPT = 10  # the last ones, because a camera may still be settling during the first
+_SETTLING = 5
 
 
 def list_cameras(machine: Machine) -> Finding:
@@ -258,3 +268,110 @@ def _labelled(name: str, machine: Machine) -> str:
 
 def _bare(error: TacshadeError) -> str:
     return str(error).removeprefix("camera ")
+
+
+def csi_cameras() -> dict[int, str]:
+    """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists; none without the program."""
+    try:
+        words = (PROGRAM, "--list-cameras")
+        done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return {}
+    found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", done.stdout, re.MULTILINE)
+    return {int(number): name for number, name in found}
+
+
+def card_name(device: str, machine: Machine) -> str:
+    """Return the driver's name for the node; empty if the kernel has no such node."""
+    node = os.path.basename(os.path.realpath(machine.at(device)))
+    return machine.read(f"/sys/class/video4linux/{node}/name")
+
+
+def is_csi(device: str, machine: Machine) -> bool:
+    """Whether the node is one of a Raspberry Pi's own and no USB camera's."""
+    return card_name(device, machine).startswith(_OWN_NODES)
+
+
+def has_csi_receiver(machine: Machine) -> bool:
+    """Whether the machine has a CSI receiver's node."""
+    return any(card_name(f"/dev/{node.name}", machine).startswith(CSI_RECEIVERS) for node in _nodes(machine))
+
+
+def stable_name(device: str, machine: Machine) -> str:
+    """Return the node's name that survives replugging; empty if there is none."""
+    target = os.path.realpath(machine.at(device))
+    for folder in _NAMES:
+        for path in machine.names(folder):
+            if os.path.realpath(path) == target:
+                return machine.name_of(path)
+    return ""
+
+
+def found_cameras(machine: Machine) -> list[str]:
+    """Return a device name for each camera, the stable one if it has one."""
+    names = []
+    for node in _nodes(machine):
+        device = f"/dev/{node.name}"
+        # A USB camera's nodes with higher indices carry metadata.
+        first = machine.read(f"/sys/class/video4linux/{node.name}/index") in ("", "0")
+        if first and not is_csi(device, machine):
+            names.append(stable_name(device, machine) or device)
+    return names
+
+
+def _nodes(machine: Machine) -> list[Path]:
+    return machine.names("/dev", "video[0-9]*")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Captured:
+    """Frames and facts from a source.
+
+    Attributes
+    ----------
+    images : tuple of uint8 (H, W) or (H, W, 3)
+        At most the last ten.
+    t_ns, arrived_ns : tuple of int
+        CLOCK_MONOTONIC when each frame was taken, as the source reports, and when it was read.
+    dropped : int
+        Dropped frames as the source counts them.
+    described : dict
+        The negotiated mode, as in ``status/camera``.
+    error : Reason or None
+        Why the source did not open or failed; None if neither happened.
+    """
+
+    images: tuple[U8, ...] = ()
+    t_ns: tuple[int, ...] = ()
+    arrived_ns: tuple[int, ...] = ()
+    dropped: int = 0
+    described: dict[str, str | int | float] = field(default_factory=dict)
+    error: Reason | None = None
+
+    @property
+    def fps(self) -> float:
+        """Frames per second, measured without the first frames, which often come late; 0 if there are too few."""
+        t_ns = self.t_ns[_SETTLING:]
+        return 1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 and t_ns[-1] > t_ns[0] else 0.0
+
+
+def capture(source: FrameSource) -> Captured:
+    """Open a source, read 30 frames or as many as come within 3 s, and close it."""
+    images: deque[U8] = deque(maxlen=_IMAGES_KEPT)
+    t_ns: list[int] = []
+    arrived_ns: list[int] = []
+    described: dict[str, str | int | float] = {}
+    error: Reason | None = None
+    try:
+        source.open()
+        deadline_s = time.monotonic() + LIMIT_S
+        while len(t_ns) < FRAMES and time.monotonic() < deadline_s and (frame := source.read()) is not None:
+            images.append(frame.image)
+            t_ns.append(frame.t_ns)
+            arrived_ns.append(time.monotonic_ns())
+        described = source.describe()
+    except TacshadeError as failure:
+        error = failure.reason
+    finally:
+        source.close()
+    return Captured(tuple(images), tuple(t_ns), tuple(arrived_ns), source.dropped, described, error)

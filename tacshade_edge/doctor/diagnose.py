@@ -6,28 +6,35 @@ then the camera's node, its frames, and what is computed from them. All end with
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from tacshade_edge.doctor import calibration
-from tacshade_edge.doctor.board import check_board
+from tacshade_edge.doctor import Finding, calibration, fault, ok
+from tacshade_edge.doctor.board import check_board, check_clock, check_disk
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon
 from tacshade_edge.doctor.bundle import Seen
-from tacshade_edge.doctor.camera import check_csi, check_device, check_frames, check_other_source, list_cameras
-from tacshade_edge.doctor.capture import Captured, capture
-from tacshade_edge.doctor.clock import check_clock
-from tacshade_edge.doctor.disk import check_disk
-from tacshade_edge.doctor.finding import Finding, fault
-from tacshade_edge.doctor.limits import start, wait_for
-from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.doctor.serial import check_serial
-from tacshade_edge.doctor.settings import check_settings
-from tacshade_edge.doctor.usb import check_usb
+from tacshade_edge.doctor.camera import (
+    Captured,
+    capture,
+    check_csi,
+    check_device,
+    check_frames,
+    check_other_source,
+    list_cameras,
+)
+from tacshade_edge.doctor.machine import AS_SERVICE, Machine
+from tacshade_edge.doctor.ports import check_serial, check_usb
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
-from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load_all
+from tacshade_edge.regular_files import open_regular
+from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load, load_all
 
 T = TypeVar("T")
 Findings = tuple[Finding, ...]
@@ -36,6 +43,8 @@ MACHINE_S, NODE_S, CSI_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
 _REPLUG = "unplug the camera and plug it in again; if the problem remains, reboot"
 _AGAIN = "run it again; if nothing changes, reboot; then report it with this line"
+SETTINGS = "settings"
+_UNTIL = "until then, doctor does not check {}"
 
 
 def diagnose(
@@ -138,3 +147,62 @@ def _failed(check: str, fix: str) -> Callable[[str], Findings]:
 
 def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -> T:
     return wait_for(start(job), time.monotonic() + limit_s, failed)
+
+
+def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
+    """Read the settings, those of one sensor if the file has several.
+
+    Returns
+    -------
+    finding : Finding
+    document : Document or None
+        None if the settings are unusable.
+    broker : bool
+        Whether the broker's settings are usable, including its password and certificate files.
+    """
+    try:
+        document = load(config, sensor_id)
+    except ConfigError as error:
+        until = _UNTIL.format("the configured camera, the calibration or the broker")
+        more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
+        return fault(SETTINGS, f"{error}{more}", f"{_fix(config)}; {until}"), None, False
+    try:
+        links.check_broker_files(document)
+        links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
+    except ConfigError as error:
+        return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker')}"), document, False
+    return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
+
+
+def _fix(config: Path) -> str:
+    try:
+        open_regular(config, sys.maxsize).close()
+    except PermissionError:
+        return f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
+    except OSError:
+        by_capture = "tacshade-edge capture DIR writes settings for this camera; pass them as --config DIR/config.yaml"
+        return f"{by_capture}, or copy config/default.yaml to {config}"
+    return "fix that line (config/default.yaml explains every key)"
+
+
+def start(job: Callable[[], T]) -> Future[T]:
+    """Run a job in a thread that does not keep the process alive."""
+    future: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(job())
+        except Exception as error:  # noqa: BLE001 (a defect of one check must not hide what the others found)
+            future.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return future
+
+
+def wait_for(future: Future[T], deadline_s: float, failed: Callable[[str], T]) -> T:
+    """Return the job's result, or ``failed(why)`` if it raised or did not end by `deadline_s` (``time.monotonic``)."""
+    try:
+        error = future.exception(max(0.0, deadline_s - time.monotonic()))
+    except FutureTimeoutError:
+        return failed("no answer in time")
+    return future.result() if error is None else failed(f"the check itself failed: {type(error).__name__}: {error}")

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
+
 
 @dataclass(frozen=True, slots=True)
 class Process:

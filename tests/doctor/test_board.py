@@ -1,46 +1,135 @@
+"""Power, heat, governor, clocks and disk; and that a report says what the board is, and nothing of whose it is."""
+
 from __future__ import annotations
 
+import getpass
+import platform
+import socket
+from pathlib import Path
 from typing import Any
 
 import pytest
+from support.findings import checked, states
 
-from tacshade_edge.doctor.board import check_board
+from tacshade_edge.doctor.board import (
+    MODEL,
+    THROTTLED,
+    board_facts,
+    check_board,
+    check_clock,
+    check_disk,
+    check_wear,
+    heat,
+    judge_clock,
+    judge_disk,
+    synchronised,
+)
 
-THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
-
-
-def test_nothing_to_say_of_a_machine_that_tells_nothing(machine: Any) -> None:
-    assert check_board(machine) == ()
+SECRETS = ("10000000abcdef01", "somebodys-hand", "dc:a6:32:01:02:03")
+NOW_S, INSTALLED_S = 1_800_000_000.0, 1_790_000_000.0
 
 
 @pytest.mark.parametrize(
-    ("flags", "found"),
+    ("files", "found", "words"),
     [
-        ("0", ["power and temperature have been fine since boot"]),
-        (
-            "50000",
-            ["under-voltage at some time since boot, but not now", "slowed down at some time since boot, but not now"],
-        ),
-        (
-            "50001",
-            ["under-voltage now; frames will be late or lost", "slowed down at some time since boot, but not now"],
-        ),
-        ("80008", ["slowed down now; frames will be late or lost"]),
+        ({}, [], []),
+        ({THROTTLED: "0"}, ["ok"], ["fine"]),
+        ({THROTTLED: "50000"}, ["warning", "warning"], ["under-voltage at some time", "slowed down at some time"]),
+        ({THROTTLED: "50001"}, ["warning", "warning"], ["under-voltage now", "slowed down at some time"]),
+        ({THROTTLED: "80008"}, ["warning"], ["slowed down now"]),
+        ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "cpufreq-dt"}, ["warning"], ["powersave"]),
+        ({f"{CPU}/scaling_governor": "ondemand", f"{CPU}/scaling_driver": "cpufreq-dt"}, [], []),
+        ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "intel_pstate"}, [], []),
     ],
 )
-def test_a_raspberry_pis_power(machine: Any, flags: str, found: list[str]) -> None:
-    machine.put(THROTTLED, f"{flags}\n")
-    assert [finding.found for finding in check_board(machine)] == found
+def test_power_and_governor(machine: Any, files: dict[str, str], found: list[str], words: list[str]) -> None:
+    for path, text in files.items():
+        machine.put(path, f"{text}\n")
+    findings = check_board(machine)
+    assert states(findings) == found
+    assert all(word in finding.found for word, finding in zip(words, findings, strict=True))
 
 
 @pytest.mark.parametrize(
-    ("governor", "driver", "warned"),
-    [("powersave", "cpufreq-dt", 1), ("ondemand", "cpufreq-dt", 0), ("powersave", "intel_pstate", 0)],
+    ("now_s", "synced", "resolution_s", "found"),
+    [
+        (NOW_S, True, 1e-9, ["ok"]),
+        (NOW_S, None, 1e-9, ["ok"]),
+        (NOW_S, False, 1e-9, ["warning"]),
+        (0.0, True, 1e-9, ["fault"]),
+        (NOW_S, True, 0.004, ["ok", "warning"]),
+    ],
 )
-def test_the_governor(machine: Any, governor: str, driver: str, warned: int) -> None:
-    machine.put(f"{CPU}/scaling_governor", governor)
-    machine.put(f"{CPU}/scaling_driver", driver)
-    findings = check_board(machine)
-    assert len(findings) == warned
-    assert all("scaling_governor" in finding.fix for finding in findings)
+def test_clocks(now_s: float, synced: bool | None, resolution_s: float, found: list[str]) -> None:
+    assert states(judge_clock(now_s, INSTALLED_S, synced, resolution_s)) == found
+    assert synchronised() in (True, False)
+    assert states(check_clock())[0] in ("ok", "warning"), "this machine knows its year"
+
+
+@pytest.mark.parametrize(
+    ("free_bytes", "read_only", "state"),
+    [
+        (5_000_000_000, False, "ok"),
+        (400_000_000, False, "warning"),
+        (1_000_000, False, "fault"),
+        (5_000_000_000, True, "fault"),
+    ],
+)
+def test_disk(machine: Any, tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> None:
+    assert states(judge_disk(Path("/var/lib/x"), free_bytes, read_only)) == [state]
+    later = tmp_path / "a/b/c"
+    assert str(later) in checked(check_disk(later, machine))[0].found, "a folder that is not there yet"
+    if Path("/sys/kernel").is_dir():
+        assert states(check_disk(Path("/sys/kernel"), machine))[0] == "fault", "sysfs has no free byte"
+
+
+def test_a_worn_card(machine: Any) -> None:
+    machine.put("/sys/block/mmcblk0/device/life_time", "0x02 0x0a\n")
+    machine.put("/sys/block/mmcblk1/device/life_time", "0x01 0x02\n")
+    machine.put("/sys/block/mmcblk2/device/type", "SD\n")
+    (finding,) = checked(check_wear(machine))
+    assert finding.state == "warning"
+    assert "mmcblk0" in finding.found
+
+
+def test_the_facts_of_a_raspberry_pi(machine: Any) -> None:
+    machine.put(MODEL, "Raspberry Pi 5 Model B Rev 1.0\0")
+    machine.put("/proc/device-tree/serial-number", f"{SECRETS[0]}\0")
+    machine.put("/proc/cpuinfo", f"processor\t: 0\nCPU part\t: 0xd0b\n\nSerial\t\t: {SECRETS[0]}\nModel\t\t: Pi\n")
+    machine.put("/proc/meminfo", "MemTotal:        8245424 kB\n")
+    machine.put("/etc/hostname", f"{SECRETS[1]}\n")
+    machine.put("/etc/os-release", 'PRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\nNAME="Debian"\n')
+    machine.put("/sys/class/net/eth0/address", f"{SECRETS[2]}\n")
+    machine.put(f"{CPU}/cpuinfo_max_freq", "2400000\n")
+    facts = board_facts(machine)
+    assert facts["board"] == "Raspberry Pi 5 Model B Rev 1.0"
+    assert facts["processor"] == "Cortex-A76"
+    assert facts["cores"].endswith(", up to 2400 MHz")
+    assert (facts["memory"], facts["system"]) == ("7.9 GiB", "Debian GNU/Linux 12 (bookworm)")
+    told = "\n".join(facts.values())
+    assert [secret for secret in (*SECRETS, socket.gethostname()) if secret in told] == []
+    assert getpass.getuser() not in told.split()
+
+
+def test_the_facts_of_a_machine_that_tells_nothing_or_nonsense(machine: Any) -> None:
+    facts = board_facts(machine)
+    assert facts["board"] == f"{platform.machine()} machine"
+    assert set(facts) == {"board", "cores", "kernel", "Python", "tacshade-edge"}
+    assert heat(machine) == ""
+    machine.put(MODEL, "a | b\nc\x1b[31m" + "d" * 200)
+    board = board_facts(machine)["board"]
+    assert board.startswith("a / b\\nc\\x1b[31md")
+    assert len(board) < 100
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [("0", "never throttled"), ("50005", "under-voltage and throttled"), ("80000", "hot")],
+)
+def test_heat(machine: Any, flags: str, told: str) -> None:
+    for zone, (kind, millidegrees) in enumerate((("cpu-thermal", 61200), ("rp1_adc", 80000))):
+        machine.put(f"/sys/class/thermal/thermal_zone{zone}/type", kind)
+        machine.put(f"/sys/class/thermal/thermal_zone{zone}/temp", str(millidegrees))
+    machine.put(THROTTLED, flags)
+    assert heat(machine) == f"61 °C, {told} since boot"

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from tacshade_edge.doctor import Finding, ok
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon, judge_round_trip
-from tacshade_edge.doctor.finding import Finding, ok
 from tacshade_edge.doctor.machine import Process
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.patience import wait_until
@@ -109,39 +109,38 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
         assert (daemon.place, daemon.rival) == ("on bench, process 7", "on bench, process 8")
 
 
+SHIPPED = (Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text()
+
+
 @broker_test
 @needs_mosquitto
-def test_users_and_access_rules(tmp_path: Path) -> None:
-    broker = Broker(tmp_path, users={"hand": "right", "guest": "right"})
-    rules = tmp_path / "acl"
-    rules.touch(0o600)
-    rules.write_text(f"user hand\ntopic readwrite tacshade/#\nuser guest\ntopic read {BASE}/#\n")
-    with (tmp_path / "mosquitto.conf").open("a") as config:
-        config.write(f"acl_file {rules}\n")
-    with broker:
-        assert ask(broker.port, username="hand", password="right")[0]["broker round trip"].state == "ok"
+@pytest.mark.parametrize(
+    ("rules", "username", "state", "fix"),
+    [
+        ("user hand\ntopic readwrite tacshade/#\n", "hand", "ok", ""),
+        (f"user hand\ntopic read {BASE}/#\n", "hand", "fault", "user hand, then topic readwrite"),
+        (SHIPPED, "hand", "fault", "topic readwrite"),  # another name than the sensor's
+        ("topic write tacshade/#\n", None, "fault", "topic readwrite"),  # it must not be read
+    ],
+)
+def test_access_rules(tmp_path: Path, rules: str, username: str | None, state: str, fix: str) -> None:
+    file = tmp_path / "acl"
+    file.touch(0o600)
+    file.write_text(rules)
+    users = {"hand": "right"} if username else {}
+    with Broker(tmp_path, users=users or None, more=(f"acl_file {file}",)) as broker:
+        trip = ask(broker.port, username=username, password=users.get("hand"))[0]["broker round trip"]
+    assert trip.state == state
+    assert fix in trip.fix
+
+
+@broker_test
+@needs_mosquitto
+def test_users(tmp_path: Path) -> None:
+    with Broker(tmp_path, users={"hand": "right"}) as broker:
         wrong = trouble(broker.port, username="hand", password="wrong")
-        assert "rejects the user hand or the password" in wrong.found
         assert wrong.fix.endswith("/etc/mosquitto/tacshade.passwd hand")
-        nobody = trouble(broker.port)
-        assert "without a user name" in nobody.found
-        assert "mqtt.username" in nobody.fix
-        denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
-        assert denied.state == "fault"
-        assert denied.found.startswith(f"the broker does not let this user publish to topics under {BASE}/")
-        assert "user guest, then topic readwrite" in denied.fix
-
-
-@broker_test
-@needs_mosquitto
-def test_the_rules_as_shipped_and_another_name_than_the_sensors(tmp_path: Path) -> None:
-    rules = tmp_path / "acl"
-    rules.touch(0o600)
-    rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
-    with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
-        denied = ask(broker.port, username="hand", password="right")[0]["broker round trip"]
-    assert denied.state == "fault"
-    assert denied.found == f"the broker does not let this user publish to topics under {BASE}/ (Not authorized)"
+        assert "mqtt.username" in trouble(broker.port).fix
 
 
 @broker_test
@@ -150,24 +149,7 @@ def test_a_broker_that_takes_small_packets_only(tmp_path: Path) -> None:
     with Broker(tmp_path, more=("max_packet_size 20000",)) as broker:
         small = ask(broker.port)[0]["broker round trip"]
     assert small.state == "warning"
-    assert small.found.startswith(
-        "the broker accepts packets of at most 20000 bytes; the daemon skips larger height maps"
-    )
-
-
-@broker_test
-@needs_mosquitto
-def test_a_broker_that_must_not_be_read(tmp_path: Path) -> None:
-    broker = Broker(tmp_path)
-    rules = tmp_path / "acl"
-    rules.touch(0o600)
-    rules.write_text("topic write tacshade/#\n")
-    with (tmp_path / "mosquitto.conf").open("a") as config:
-        config.write(f"acl_file {rules}\n")
-    with broker:
-        denied = ask(broker.port)[0]["broker round trip"]
-    assert denied.state == "fault"
-    assert "topic readwrite" in denied.fix
+    assert "20000 bytes" in small.found
 
 
 @broker_test
@@ -178,21 +160,15 @@ def test_tls(tmp_path: Path) -> None:
     other = Broker(tmp_path / "theirs", tls=True)
     with Broker(tmp_path / "ours", tls=True) as broker:
         good, _ = ask(broker.port, tls_ca=str(broker.ca))
-        assert "accepted the connection over TLS" in good["broker"].found
+        assert good["broker"].state == "ok"
         wrong = trouble(broker.port, tls_ca=str(other.ca))
-        assert "its certificate failed verification: self-signed certificate" in wrong.found
         assert wrong.fix.startswith("set mqtt.ca_file")
         assert good["broker round trip"].state != "fault"
         named = trouble(broker.port, tls_ca=str(broker.ca), host="127.1")
-        assert "is not valid for '127.1'" in named.found
         assert "for 127.1 (subjectAltName)" in named.fix
-        plain = trouble(broker.port)
-        assert plain.found.endswith("accepts connections but hangs up, so it is not an MQTT broker")
-        assert "If the port is a TLS port (8883), set mqtt.ca_file" in plain.fix
+        assert "set mqtt.ca_file" in trouble(broker.port).fix
     with Broker(tmp_path / "theirs") as broker:
-        finding = trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
-        assert "TLS" in finding.found or "no answer" in finding.found or "reset" in finding.found
-        assert finding.fix
+        trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
 
 
 @broker_test

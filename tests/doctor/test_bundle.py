@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.doctor import fault, ok
 from tacshade_edge.doctor.bundle import Seen, versions, without_secrets, write_bundle
-from tacshade_edge.doctor.finding import fault, ok
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings import Document, load
 from tacshade_edge.storage.calibration import calibration_file

@@ -1,17 +1,36 @@
-"""What is said of frames; nodes, formats and busy cameras are looked at in the guest (tests/guest/test_doctor.py)."""
+"""Cameras and their frames; nodes, formats and busy cameras are looked at in the guest (tests/guest/test_doctor.py)."""
 
 from __future__ import annotations
 
+import itertools
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from support import rpicam_vid
+from support.findings import checked, states
 
-from tacshade_edge.doctor.camera import check_frames, check_other_source, check_picture
-from tacshade_edge.doctor.capture import Captured
-from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.doctor.camera import (
+    FRAMES,
+    Captured,
+    capture,
+    check_csi,
+    check_device,
+    check_frames,
+    check_other_source,
+    check_picture,
+    csi_cameras,
+    found_cameras,
+    has_csi_receiver,
+    is_csi,
+    list_cameras,
+    stable_name,
+)
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.settings import V4l2
+from tacshade_edge.settings import Rpicam, V4l2
+from tacshade_edge.storage.recording.image_source import FilesSource
 from tools.testbed.painted_sensor import BLACK, FREE
 
 LOCKED = {
@@ -19,6 +38,7 @@ LOCKED = {
     **{"exposure": "locked at 157", "exposure_lock": "locked"},
     **{"white_balance": "locked", "white_balance_lock": "locked"},
 }
+STALLED = Reason(ReasonCode.STALLED, "camera /dev/video0: no frame within 2.0 s: the camera has stalled")
 
 
 def frames(fps: float = 30, **changes: Any) -> Captured:
@@ -28,73 +48,132 @@ def frames(fps: float = 30, **changes: Any) -> Captured:
     return Captured(**values)
 
 
-def judged(machine: Any, captured: Captured) -> dict[str, Finding]:
-    findings = check_frames(V4l2(), captured, machine, "")
-    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
-    return {finding.check: finding for finding in findings if finding.state != "ok"}
-
-
-def test_a_good_camera(machine: Any) -> None:
-    assert judged(machine, frames()) == {}
-    assert judged(machine, frames(dropped=1)) == {}, "a stream's start may cost a frame"
-    found = [finding.found for finding in check_frames(V4l2(), frames(), machine, "")]
-    assert found == [
-        "30.0 frames/s, 30 requested",
-        "time stamps: kernel; frames up to 20 ms old",
-        "exposure: locked at 157",
-        "white balance: locked",
-        "160x120 px, mean grey 64, standard deviation 68",
-    ]
+@pytest.mark.parametrize(
+    ("captured", "wrong"),
+    [
+        (frames(), []),
+        (frames(dropped=1), []),  # a stream's start may cost a frame
+        (frames(fps=15), ["camera frames"]),
+        (frames(dropped=4), ["camera frames"]),
+        (frames(described=LOCKED | {"time_stamps": "on arrival"}), ["camera time"]),
+        (frames(t_ns=(1_000_000_000,) * 30), ["camera frames", "camera time"]),
+        (frames(arrived_ns=(4_000_000_000,) * 30), ["camera time"]),
+        (frames(described=LOCKED | {"exposure": "157", "exposure_lock": "automatic"}), ["camera control"]),
+        (frames(images=(BLACK,)), ["picture"]),
+        (Captured(error=STALLED), ["camera frames"]),
+    ],
+)
+def test_what_a_camera_delivered(machine: Any, captured: Captured, wrong: list[str]) -> None:
+    findings = checked(check_frames(V4l2(), captured, machine, ""))
+    assert [finding.check for finding in findings if finding.state != "ok"] == wrong
 
 
 @pytest.mark.parametrize(
-    ("captured", "check", "said"),
+    ("image", "fix"),
     [
-        (frames(fps=15), "camera frames", "15.0 frames/s, 30 requested"),
-        (frames(dropped=4), "camera frames", "30.0 frames/s, 30 requested, 4 lost"),
-        (frames(described=LOCKED | {"time_stamps": "on arrival"}), "camera time", "time stamps: on arrival"),
-        (frames(t_ns=(1_000_000_000,) * 30), "camera time", "out of order"),
-        (frames(arrived_ns=(4_000_000_000,) * 30), "camera time", "frames up to 3000 ms old"),
-        (
-            frames(described=LOCKED | {"exposure": "automatic, not locked (157)", "exposure_lock": "automatic"}),
-            "camera control",
-            "exposure: automatic",
-        ),
-        (frames(images=(BLACK,)), "picture", "black: mean grey level 0"),
-        (
-            Captured(
-                error=Reason(ReasonCode.STALLED, "camera /dev/video0: no frame within 2.0 s: the camera has stalled")
-            ),
-            "camera frames",
-            "no frame within",
-        ),
+        (np.full((120, 160), 255, np.uint8), "dim"),
+        (np.full((120, 160), 90, np.uint8), "focus"),
+        (np.zeros((120, 160, 3), np.uint8), "light on"),
     ],
 )
-def test_what_is_wrong_is_said(machine: Any, captured: Captured, check: str, said: str) -> None:
-    assert said in judged(machine, captured)[check].found
-
-
-@pytest.mark.parametrize(
-    ("image", "reason", "fix"),
-    [
-        (np.full((120, 160), 255, np.uint8), "saturated: 100 %", "dim"),
-        (np.full((120, 160), 90, np.uint8), "no contrast", "focus"),
-        (np.zeros((120, 160, 3), np.uint8), "black", "light on"),
-    ],
-)
-def test_a_picture_that_shows_nothing(image: Any, reason: str, fix: str) -> None:
+def test_a_picture_that_shows_nothing(image: Any, fix: str) -> None:
     finding = check_picture(image)
     assert finding.state == "fault"
-    assert finding.found.startswith(reason)
     assert fix in finding.fix
 
 
-def test_other_sources() -> None:
-    assert [f.state for f in check_other_source(frames(), 30.0)] == ["ok", "ok"]
-    assert check_other_source(frames(fps=5), 30.0)[0].state == "warning"
-    (gone,) = check_other_source(Captured(error=Reason(ReasonCode.CONFIG, "x: found nothing")), 30.0)
-    assert (gone.state, gone.found) == ("fault", "x: found nothing")
-    (empty,) = check_other_source(Captured(), 30.0)
-    assert empty.state == "fault"
-    single = frames(images=(FREE,), t_ns=(1,), arrived_ns=(2,), described={"path": "a.png"})
-    assert check_other_source(single, 30.0)[0].found == "a.png: 1 frames"
+@pytest.mark.parametrize(
+    ("captured", "found"),
+    [
+        (frames(), ["ok", "ok"]),
+        (frames(fps=5), ["warning", "ok"]),
+        (frames(images=(FREE,), t_ns=(1,), arrived_ns=(2,), described={"path": "a.png"}), ["ok", "ok"]),
+        (Captured(error=Reason(ReasonCode.CONFIG, "x: found nothing")), ["fault"]),
+        (Captured(), ["fault"]),
+    ],
+)
+def test_other_sources(captured: Captured, found: list[str]) -> None:
+    assert states(check_other_source(captured, 30.0)) == found
+
+
+def plug(machine: Any, node: str, name: str, index: int = 0) -> None:
+    machine.put(f"/dev/{node}")
+    machine.put(f"/sys/class/video4linux/{node}/name", name + "\n")
+    machine.put(f"/sys/class/video4linux/{node}/index", f"{index}\n")
+
+
+def test_one_name_for_each_camera_and_none_for_metadata(machine: Any) -> None:
+    plug(machine, "video0", "HD Camera")
+    plug(machine, "video1", "HD Camera", index=1)
+    plug(machine, "video2", "Other")
+    plug(machine, "video10", "Third")
+    machine.link("/dev/v4l/by-path/usb-0:1", "../../video0")
+    machine.link("/dev/v4l/by-id/usb-HD-index0", "../../video0")
+    machine.link("/dev/v4l/by-path/usb-0:2", "../../video2")
+    names = found_cameras(machine)
+    assert names == ["/dev/v4l/by-id/usb-HD-index0", "/dev/v4l/by-path/usb-0:2", "/dev/video10"]
+    assert stable_name("/dev/video10", machine) == ""
+    assert all(name in list_cameras(machine).found for name in names)
+
+
+def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
+    plug(machine, "video0", "rp1-cfe-csi2_ch0")
+    plug(machine, "video19", "rpi-hevc-dec")
+    plug(machine, "video20", "pispbe-input")
+    assert found_cameras(machine) == []
+    assert has_csi_receiver(machine)
+    assert is_csi("/dev/video20", machine)
+    assert "CSI" in list_cameras(machine).fix
+    (finding,) = check_device(V4l2(), machine)
+    assert finding.state == "fault"
+    assert finding.fix.endswith("set source: {kind: rpicam, camera: 0}")
+
+
+def test_a_camera_that_is_not_there(machine: Any) -> None:
+    (alone,) = checked(check_device(V4l2(), machine))
+    assert (alone.state, alone.found) == ("fault", "/dev/video0: no such device")
+    plug(machine, "video2", "HD Camera")
+    assert "/dev/video2" in check_device(V4l2(), machine)[0].fix
+    machine.at("/sys/class/video4linux/video2/name").write_text("unicam-image\n")
+    assert "CSI" in check_device(V4l2(), machine)[0].fix
+    machine.put("/dev/video0", "not a device")
+    assert states(check_device(V4l2(), machine)) == ["fault"]
+
+
+def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert check_csi(Rpicam())[0].fix == "sudo apt install rpicam-apps-lite"
+    monkeypatch.undo()
+    rpicam_vid.put_on_path(tmp_path, monkeypatch)
+    name = "imx219 [3280x2464 10-bit RGGB]"
+    assert csi_cameras() == {0: name}
+    assert name in list_cameras(machine).found
+    assert states(check_csi(Rpicam())) == ["ok"]
+    assert states(check_csi(Rpicam(camera=1))) == ["fault"]
+    held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
+    assert states(check_frames(Rpicam(), held, machine, "streaming")) == ["warning"]
+    assert states(check_frames(Rpicam(), held, machine, "")) == ["fault"]
+
+
+def test_frames_are_taken_as_the_daemon_does(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), FREE)
+    captured = capture(FilesSource(path=tmp_path, fps=240, loop=True))
+    assert captured.error is None
+    assert len(captured.t_ns) == len(captured.arrived_ns) == FRAMES
+    assert len(captured.images) == 10, "memory is bounded"
+    assert all(later > earlier for earlier, later in itertools.pairwise(captured.t_ns))
+    assert 0 < captured.fps < 300
+    assert len(capture(FilesSource(path=tmp_path, fps=30, loop=False)).t_ns) == 1, "it ends early"
+    (tmp_path / "b.png").write_bytes(b"")
+    broken = capture(FilesSource(path=tmp_path, fps=240, loop=False))
+    assert len(broken.t_ns) == 1
+    assert "b.png" in str(broken.error)
+    error = capture(FilesSource(path=tmp_path / "none", fps=30, loop=False)).error
+    assert error is not None
+    assert error.code is ReasonCode.CONFIG
+
+
+def test_the_rate_leaves_out_the_first_frames() -> None:
+    slow_start = (0, *(2_000_000_000 + k * 20_000_000 for k in range(20)))
+    assert Captured(t_ns=slow_start).fps == pytest.approx(50)
+    assert Captured(t_ns=(1, 2)).fps == 0

@@ -14,9 +14,8 @@ import pytest
 from support.handed_in import PAINTED
 from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
-from tacshade_edge.doctor.camera import check_device, check_frames, list_cameras
-from tacshade_edge.doctor.capture import Captured, capture
-from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.doctor import Finding
+from tacshade_edge.doctor.camera import Captured, capture, check_device, check_frames, list_cameras
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.factories import sources
 from tacshade_edge.settings import V4l2

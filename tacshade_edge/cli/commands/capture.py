@@ -30,7 +30,7 @@ from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.doctor.cameras import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import ports, sources

@@ -11,11 +11,10 @@ from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
+from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
-from tacshade_edge.doctor.diagnose import diagnose
-from tacshade_edge.doctor.finding import Finding, State
+from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.doctor.settings import SETTINGS
 from tacshade_edge.quoting import escaped
 
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}

@@ -11,7 +11,7 @@ from typing import Any
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.doctor.board_facts import board_facts, heat
+from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS

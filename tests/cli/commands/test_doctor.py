@@ -12,7 +12,7 @@ import pytest
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.commands.doctor import shown
-from tacshade_edge.doctor.finding import fault, ok, warning
+from tacshade_edge.doctor import fault, ok, warning
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
