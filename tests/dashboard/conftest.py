@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
+from support.browser import browser, errors, errors_of_the_page
+from support.dashboard_process import dashboard
 from support.page_server import run
+from support.published_sensor import PublishedSensor
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.browser import browser, errors, errors_of_the_page
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.published_sensor import PublishedSensor
 
 
 @pytest.hookimpl(tryfirst=True)

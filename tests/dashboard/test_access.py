@@ -7,6 +7,7 @@ import ssl
 from pathlib import Path
 
 import pytest
+from support.dashboard_process import dashboard
 from support.page_server import TOKEN, answer, client_through, echo, get, running, tcp, websocket
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -15,7 +16,6 @@ from tacshade_edge.dashboard import files
 from tacshade_edge.dashboard.access import refusal
 from tacshade_edge.dashboard.login import WRONG_MAX
 from tools.testbed.certificate import certificate
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until
 

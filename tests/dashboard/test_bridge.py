@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from support.dashboard_process import dashboard
 from support.page_server import client_through, echo, get, running, tcp, websocket
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from tacshade_edge.dashboard import bridge
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import wait_until
 

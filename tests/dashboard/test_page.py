@@ -23,20 +23,11 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
-
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.protocol import json_payload, messages, wire
-from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.script import demonstration
-from tacshade_edge.types import Reconstruction, Slip, Touch
-from tools.testbed.browser import browser, errors
-from tools.testbed.dashboard_process import dashboard
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
-from tools.testbed.published_sensor import calibration as calibrated_sensor
-from tools.testbed.shown_page import (
+from support.browser import browser, errors
+from support.dashboard_process import dashboard
+from support.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
+from support.published_sensor import calibration as calibrated_sensor
+from support.shown_page import (
     NEEDS_A_BROWSER,
     daemon,
     js,
@@ -46,6 +37,15 @@ from tools.testbed.shown_page import (
     text,
     until_shown,
 )
+
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.protocol import json_payload, messages, wire
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.script import demonstration
+from tacshade_edge.types import Reconstruction, Slip, Touch
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

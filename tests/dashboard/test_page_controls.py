@@ -8,12 +8,12 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+from support.dashboard_process import dashboard
+from support.published_sensor import PublishedSensor, bump
+from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
+from support.growing_map import PAD, scan
+from support.published_sensor import PublishedSensor
+from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 from tacshade_edge.protocol import messages, wire
-from tools.testbed.growing_map import PAD, scan
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 pytestmark = NEEDS_A_BROWSER
 

@@ -13,16 +13,16 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+from support.browser import errors
+from support.dashboard_process import dashboard
 from support.recordings import recorded, write_recording
+from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.browser import errors
-from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 pytestmark = NEEDS_A_BROWSER
 

@@ -7,7 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.findings import checked, states
+from support.fitted import fitted_with
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.doctor.calibration import check_images, load
@@ -15,8 +17,6 @@ from tacshade_edge.settings import load as load_settings
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import U8
-from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
-from tools.testbed.fitted import fitted_with
 from tools.testbed.painted_sensor import painted_calibration
 
 ROWS, COLS = 240, 320
