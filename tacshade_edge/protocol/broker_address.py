@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from ..errors import ConfigError
 from ..quoting import quoted
 
 BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
+HOST: Final = r"^(?:[^\s:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-Fa-f:.]+(?:%\w+)?)$"
+"""Pattern of a host name, an IPv4 address or an IPv6 address, without a scheme, brackets or a port."""
 _PORT: Final = "1883"
 _HOST_CHARS_MAX: Final = 253
 
@@ -23,11 +26,15 @@ def host_and_port(broker: str) -> tuple[str, int]:
     host, colon, port = broker.rpartition(":")
     if not colon:
         host, port = broker, _PORT
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    elif ":" in host:
+        host = ""
     sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
     try:
-        sound = sound and 0 < len(host) <= _HOST_CHARS_MAX and bool(host.encode("idna"))
+        sound = sound and len(host) <= _HOST_CHARS_MAX and bool(re.match(HOST, host) and host.encode("idna"))
     except UnicodeError:
         sound = False
     if not sound:
         raise ConfigError(f"broker: found {quoted(broker)}, expected {BROKER}")
-    return host.strip("[]"), int(port)
+    return host, int(port)

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+from tacshade_edge.protocol.broker_address import HOST
 from tacshade_edge.settings.placed import Placed
 
 
@@ -70,7 +71,7 @@ _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # the topics of hands begin with 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The broker."""
 
-    host: Annotated[str, Meta(pattern=r"^[^\s/]+$", description="host name or address of the broker, no URL")] = (
+    host: Annotated[str, Meta(pattern=HOST, description="host name or address, without port, brackets or URL")] = (
         "localhost"
     )
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883

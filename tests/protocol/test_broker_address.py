@@ -22,7 +22,11 @@ def test_a_broker_is_a_host_and_a_port(text: str, found: tuple[str, int]) -> Non
 
 
 @pytest.mark.parametrize(
-    "text", ["", ":", ":1883", "host:", "host:0", "host:65536", "host:٣", "host:" + "1" * 5000, "h" * 64, "a." * 127]
+    "text",
+    [
+        *("", ":", ":1883", "host:", "host:0", "host:65536", "host:٣", "host:" + "1" * 5000, "h" * 64, "a." * 127),
+        *("mqtt://h", "mqtt://h:1883", "::1", "[::1", "h,i", "a@h:1883", "[h:1]:1883"),
+    ],
 )
 def test_what_is_none_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as") as caught:

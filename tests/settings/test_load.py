@@ -53,8 +53,11 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("mqtt:\n  host: ''\n", ":2: mqtt.host: found '', expected a string"),
         ("mqtt:\n  home_assistant: 1\n", ":2: mqtt.home_assistant: found 1, expected true or false"),
         ("mqtt:\n  username: 7\n", ":2: mqtt.username: found 7, expected a string (user name) or null"),
-        ("mqtt:\n  host: bad host\n", ":2: mqtt.host: found bad host, expected a string (host name or address of the"),
-        ("mqtt:\n  host: mqtt://a\n", ":2: mqtt.host: found mqtt://a, expected a string (host name or address"),
+        ("mqtt:\n  host: bad host\n", ":2: mqtt.host: found bad host, expected a string (host name or address"),
+        *(
+            (f"mqtt:\n  host: {host}\n", f":2: mqtt.host: found {host}, expected a string (host name or address")
+            for host in ("mqtt://a", "127.0.0.1:1883", "a@h", "'[::1]'", "'[::1]:1883'", "'h:'", "h,i")
+        ),
         ("mqtt: 3\n", ":1: mqtt: found 3, expected a mapping"),
         ("mqtt: [1]\n", ":1: mqtt: found a list, expected a mapping"),
         ("mqtt:\n", ":1: mqtt: found nothing, expected a mapping"),
