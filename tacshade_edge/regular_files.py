@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from pathlib import Path
 from typing import BinaryIO
 
 
@@ -42,3 +43,9 @@ def read_regular(path: str | os.PathLike[str], bytes_max: int) -> bytes:
     """Read a file, up to its size when it was opened. Raises OSError like `open_regular`."""
     with open_regular(path, bytes_max) as stream:
         return stream.read(os.fstat(stream.fileno()).st_size)
+
+
+def named_file(folder: Path, name: str) -> Path:
+    """The path of a file that a table or settings file names: relative to its folder, from ``~``, or as in Windows."""
+    path = folder / os.path.expanduser(name)
+    return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from tacshade_edge.quoting import did_you_mean
+
+
+def _at_home(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_at_home(each) for each in value]
+    return Path(os.path.expanduser(value)) if isinstance(value, Path) else value
 
 
 class Parser(argparse.ArgumentParser):
@@ -22,7 +30,10 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Parse as argparse does, and keep the words for `error`."""
         self._words = tuple(args or ())
-        return super().parse_known_args(args, namespace)
+        found, rest = super().parse_known_args(args, namespace)
+        for name, value in vars(found).items():  # a shell leaves the ~ of --out=~/map
+            setattr(found, name, _at_home(value))
+        return found, rest
 
     def error(self, message: str) -> NoReturn:
         """Print the usage, the message and the nearest valid word, if any; exit with 2."""

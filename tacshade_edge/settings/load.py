@@ -15,6 +15,7 @@ import yaml
 from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import did_you_mean, shown
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import FINGER, HAND, RENAMED, SENSORS, Files, Settings, Simulated, Source, json_schema
 from tacshade_edge.settings.placed import wrong_with
@@ -248,7 +249,7 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
     """The same settings with every relative path made absolute against `folder`."""
 
     def at(path: str | None) -> str | None:
-        return None if path is None else str(folder / path)
+        return None if path is None else str(named_file(folder, path))
 
     mqtt = settings.mqtt
     replace = msgspec.structs.replace
@@ -264,9 +265,9 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
 
 def _source_at(source: Source, folder: Path) -> Source:
     if isinstance(source, Files):
-        return msgspec.structs.replace(source, path=str(folder / source.path))
+        return msgspec.structs.replace(source, path=str(named_file(folder, source.path)))
     if isinstance(source, Simulated) and source.pressed is not None:
-        return msgspec.structs.replace(source, pressed=str(folder / source.pressed))
+        return msgspec.structs.replace(source, pressed=str(named_file(folder, source.pressed)))
     return source
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tacshade_edge.cli import main
+from tacshade_edge.cli.parser import Parser
 
 
 @pytest.mark.parametrize(
@@ -34,3 +37,12 @@ def test_nothing_is_guessed_where_no_word_is_near(capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit, match="2"):
         main(words.split())
     assert "did you mean" not in capsys.readouterr().err
+
+
+def test_a_path_may_begin_at_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/somebody")
+    parser = Parser()
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("images", type=Path, nargs="*")
+    found = parser.parse_args(["--out=~/map", "~/a.png", "b~.png"])
+    assert (found.out, found.images) == (Path("/home/somebody/map"), [Path("/home/somebody/a.png"), Path("b~.png")])

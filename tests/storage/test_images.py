@@ -27,6 +27,30 @@ def test_a_grey_image_stays_grey_and_16_bits_become_8(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "deep.png"), PICTURE[:, :, 0])
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tiff", ".pgm"])
+@pytest.mark.parametrize(("bits", "factor"), [(10, 64), (12, 16)])
+def test_values_of_ten_or_twelve_bits_in_16_are_refused(tmp_path: Path, suffix: str, bits: int, factor: int) -> None:
+    path = tmp_path / f"deep{suffix}"
+    deep = PICTURE[:, :, 0].astype(np.uint16) << (bits - 8)
+    cv2.imwrite(str(path), deep)
+    expected = f"found values up to {deep.max()} in 16-bit pixels, .*multiply {bits}-bit values by {factor}$"
+    with pytest.raises(DecodeError, match=expected):
+        read_image(path)
+    cv2.imwrite(str(path), deep * factor)
+    np.testing.assert_array_equal(read_image(path), PICTURE[:, :, 0])
+    cv2.imwrite(str(path), deep * 0)
+    assert not read_image(path).any()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int16])
+@pytest.mark.parametrize("picture", [PICTURE, PICTURE[:, :, 0]])
+def test_a_tiff_of_other_numbers_is_named(tmp_path: Path, kind: type, picture: np.ndarray) -> None:
+    path = tmp_path / "a.tiff"
+    cv2.imwrite(str(path), picture.astype(kind))
+    with pytest.raises(DecodeError, match="found a TIFF of floating-point or signed values, expected whole numbers"):
+        read_image(path)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp"])
 @pytest.mark.parametrize("part", [0.3, 0.999])
 def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, part: float) -> None:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.types import U8
@@ -22,6 +23,8 @@ SIDE_MAX_PX: Final = 8192
 # Markers near the end of a complete file; some cameras pad the end.
 _ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 _TAIL_BYTES: Final = 1024
+_DEEP: Final = (b"\x89PNG", b"II*\0", b"MM\0*", b"P2", b"P3", b"P5", b"P6")  # may have 16 bits per pixel
+_DARK_GREY: Final = 16
 
 # OpenCV's own lines on stderr would add to our one.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -62,7 +65,20 @@ def decode_image(data: bytes, flags: int) -> U8:
         image = None
     if image is None or image.shape[:2] != (height, width):
         raise DecodeError(f"found {len(data)} bytes that are damaged or not an image, expected a whole image")
+    if data.startswith(_DEEP) and int(image.max()) < _DARK_GREY:
+        _check_depth(cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH))
     return np.asarray(image, np.uint8)
+
+
+def _check_depth(image: NDArray[Any] | None) -> None:
+    """Refuse 16-bit pixels that hold values of 9 to 12 bits: their upper 8 bits would be nearly black."""
+    most = 0 if image is None or image.dtype != np.uint16 else int(image.max())
+    if most:
+        bits = 10 if most < 1 << 10 else 12
+        raise DecodeError(
+            f"found values up to {most} in 16-bit pixels, expected the full 16 bits; "
+            f"multiply {bits}-bit values by {1 << 16 - bits}"
+        )
 
 
 def _size_px(data: bytes) -> tuple[int, int] | None:
@@ -120,7 +136,8 @@ def _pnm(data: bytes) -> tuple[int, int] | None:
     return (int(found[1]), int(found[2])) if found else None
 
 
-_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILES = 256, 257, (322, 323)
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILES, _TIFF_FORMAT = 256, 257, (322, 323), 339
+_TIFF_NOT_WHOLE = 2, 3  # signed, floating-point
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
@@ -131,6 +148,10 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
     found: dict[int, int] = {}
     for entry in range(at + 2, at + 2 + 12 * entries, 12):
         tag, kind = struct.unpack_from(f"{order}2H", data, entry)
+        (count,) = struct.unpack_from(f"{order}I", data, entry + 4)
+        at = entry + 8 if count <= 2 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
+        if tag == _TIFF_FORMAT and struct.unpack_from(f"{order}H", data, at)[0] in _TIFF_NOT_WHOLE:
+            raise DecodeError("found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits")
         if tag in (_TIFF_WIDTH, _TIFF_HEIGHT, *_TIFF_TILES):
             (value,) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, entry + 8)
             found[tag] = max(value, found.get(tag, 0))

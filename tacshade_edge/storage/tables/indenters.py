@@ -10,6 +10,7 @@ from tacshade_edge.core.calibration.indenters import indenter as shapes
 from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.indenters.printable import planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
@@ -70,7 +71,7 @@ def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indent
         case IndenterEntry(shape="cone", angle_deg=float(angle_deg)):
             return shapes.cone(name, angle_deg)
         case IndenterEntry(shape="mesh", file=str(file)):
-            return _mesh(path.parent / file, name, where)
+            return _mesh(named_file(path.parent, file), name, where)
     raise AssertionError(entry)  # `read_indenters_file` checked each shape's keys
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.tables.tables import number, read_columns
 from tacshade_edge.types import QUANTITIES
 
@@ -52,13 +53,11 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
         raise ConfigError(f"{path}:1: {table.unknown[0]}: found an unknown column, expected {expected}")
     labelled = []
     for where, cells in table.rows:
-        if not (name := cells["image"].strip()):
+        if not (name := cells["image"]):
             raise ConfigError(f"{where}: image: found nothing, expected the name of a file in {folder}")
-        texts = {column: cells.get(column, "").strip() for column in QUANTITIES}
-        if table.decimal_comma:
-            texts = {column: text.replace(",", ".") for column, text in texts.items()}
-        known = {column: number(where, column, text) for column, text in texts.items() if text}
-        labelled.append(LabelledImage(folder / name, known, where, cells.get("group", "").strip()))
+        numbers = table.with_points(cells)
+        known = {column: number(where, column, numbers[column]) for column in QUANTITIES if numbers.get(column)}
+        labelled.append(LabelledImage(named_file(folder, name), known, where, cells.get("group", "")))
     if not labelled:
         raise ConfigError(f"{path}: found no rows, expected one per image")
     if not any(row.known for row in labelled):

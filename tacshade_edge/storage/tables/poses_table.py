@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.storage.tables.tables import iter_rows, number
+from tacshade_edge.storage.tables.tables import number, read_columns
 
 HEADER = ("image", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 ROWS_MAX = 100_000
@@ -41,17 +42,19 @@ def read_poses(path: Path) -> list[PosedImage]:
     ConfigError
         ``FILE:LINE: column: found …, expected …``; or the table has no row.
     """
-    found = [_posed(path, where, row) for where, row in iter_rows(path, HEADER, "poses", rows_max=ROWS_MAX)]
-    if not found:
+    table = read_columns(path, HEADER, (), "poses", rows_max=ROWS_MAX)
+    if table.unknown:
+        raise ConfigError(f"{path}:1: {table.unknown[0]}: found an unknown column, expected {','.join(HEADER)}")
+    if not table.rows:
         raise ConfigError(f"{path}: found no rows, expected one per image")
-    return found
+    return [_posed(path, where, table.with_points(row)) for where, row in table.rows]
 
 
-def _posed(path: Path, where: str, row: list[str]) -> PosedImage:
-    values = [number(where, column, text) for column, text in zip(HEADER[1:], row[1:], strict=True)]
+def _posed(path: Path, where: str, row: dict[str, str]) -> PosedImage:
+    values = [number(where, column, row[column]) for column in HEADER[1:]]
     norm = math.hypot(*values[3:])
     if abs(norm - 1) > _UNIT:
         raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
-    if not row[0]:
+    if not row["image"]:
         raise ConfigError(f"{where}: image: found nothing, expected a file name")
-    return PosedImage(where, path.parent / row[0], from_seven(values))
+    return PosedImage(where, named_file(path.parent, row["image"]), from_seven(values))

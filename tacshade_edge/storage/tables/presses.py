@@ -9,6 +9,7 @@ from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.tables import number, read_columns
 
@@ -61,14 +62,7 @@ def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str,
     if table.unknown:
         names = ", ".join(shown(name or "one without a name", 40) for name in table.unknown[:10])
         notes = (f"{path}: ignoring unknown columns: {names}",)
-    if table.decimal_comma:
-        numbers = {*HEADER[2:], *MORE}
-        rows = [
-            (where, {k: v.replace(",", ".") if k in numbers else v for k, v in row.items()})
-            for where, row in table.rows
-        ]
-    else:
-        rows = list(table.rows)
+    rows = [(where, table.with_points(row, ("image", "indenter"))) for where, row in table.rows]
     return rows, notes
 
 
@@ -95,7 +89,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
             f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         )
     try:
-        image = read_image(path.parent / row["image"])
+        image = read_image(named_file(path.parent, row["image"]))
     except DecodeError as error:
         raise ConfigError(f"{where}: image: {error}") from None
     angles = [

@@ -7,8 +7,9 @@ import csv
 import io
 import itertools
 import math
+import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TextIO
@@ -23,6 +24,7 @@ NUMBER_MAX: Final = 1e6
 
 CRC_COLUMN: Final = "crc32"
 
+_SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
 _BYTES_A_ROW_MAX: Final = 512  # on average
 _ROW_CHARS_MAX: Final = 1 << 16
 
@@ -152,39 +154,50 @@ class Table:
     unknown: tuple[str, ...]
     decimal_comma: bool
 
+    def with_points(self, row: dict[str, str], texts: Collection[str] = ("image",)) -> dict[str, str]:
+        """A row's cells with decimal points, except the columns of `texts`."""
+        if not self.decimal_comma:
+            return row
+        return {key: cell if key in texts else cell.replace(",", ".") for key, cell in row.items()}
 
-def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...], what: str) -> Table:
+
+def read_columns(
+    path: Path, required: tuple[str, ...], optional: tuple[str, ...], what: str, *, rows_max: int = ROWS_MAX
+) -> Table:
     """Read a table as a spreadsheet writes it: columns in any order, ``,``, ``;`` or tabs, UTF-8 or UTF-16.
 
-    UTF-16 needs its byte order mark, which spreadsheets write. Rows without any filled cell are skipped.
+    UTF-16 needs its byte order mark, which spreadsheets write. The first line may be Excel's ``sep=;``. Blanks around
+    cells, empty cells after the last column and rows without any filled cell are skipped.
 
     Raises
     ------
     ConfigError
         The file is unreadable or not CSV, a column is missing or repeated, or a row has another length.
     """
-    with _opened(path, what, ROWS_MAX) as stream:
+    with _opened(path, what, rows_max) as stream:
         text = _text(path, stream)
-        first = list(itertools.islice(text, 1))
-        delimiter = max(",;\t", key="".join(first).count)
-        lines = [
-            (line, row) for line, row in _lines(path, itertools.chain(first, text), delimiter, ROWS_MAX) if any(row)
-        ]
-    header = [name.strip() for name in lines[0][1]] if lines else []
+        first = next(text, "")
+        stated = _SEPARATOR.fullmatch(first)
+        delimiter = stated[1] if stated else max(",;\t", key=first.count)
+        read = _lines(path, itertools.chain(["\n" if stated else first], text), delimiter, rows_max)
+        lines = [(line, cells) for line, row in read if any(cells := [cell.strip() for cell in row])]
+    line0, header = lines[0] if lines else (1, [])
+    while header and not header[-1]:
+        header.pop()
     if missing := [name for name in required if name not in header]:
         found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
         raise ConfigError(
-            f"{path}:1: found {found}, expected {','.join(required)}; the header lacks {', '.join(missing)}"
+            f"{path}:{line0}: found {found}, expected {','.join(required)}; the header lacks {', '.join(missing)}"
         )
-    line0, known = lines[0][0], (*required, *optional)
+    known = (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
         raise ConfigError(
             f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns with this name, expected one"
         )
-    for line, row in lines[1:]:
-        if len(row) != len(header):
-            raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(header)}")
-    rows = tuple((f"{path}:{line}", dict(zip(header, row, strict=True))) for line, row in lines[1:])
+    for line, cells in lines[1:]:
+        if len(cells) < len(header) or any(cells[len(header) :]):
+            raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
+    rows = tuple((f"{path}:{line}", dict(zip(header, cells, strict=False))) for line, cells in lines[1:])
     return Table(rows, tuple(name for name in header if name not in known), delimiter != ",")
 
 
@@ -237,7 +250,7 @@ def _lines(path: Path, text: Iterable[str], delimiter: str, rows_max: int) -> It
                 raise csv.Error(f"a row of more than {_ROW_CHARS_MAX} characters")
             yield line
 
-    reader = csv.reader(bounded(), delimiter=delimiter, strict=True)
+    reader = csv.reader(bounded(), delimiter=delimiter, strict=True, skipinitialspace=True)
     rows = 0
     try:
         for row in reader:

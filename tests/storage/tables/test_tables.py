@@ -86,3 +86,34 @@ def test_only_a_regular_file_is_a_table(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "t.csv")
     with pytest.raises(ConfigError, match=r"t\.csv: found no regular file, expected a CSV file of numbers"):
         read_rows(tmp_path / "t.csv", ("a", "b"), "numbers")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a, b\n1.5, two\n",
+        "a ,b \n 1.5 ,two \n",
+        '"a", "b"\n"1.5", "two"\n',
+        "sep=;\na;b\n1,5;two\n",
+        '"sep=;"\r\na;b\r\n1,5;two\r\n',
+        "sep=,\na,b\n1.5,two\n",
+        "\ufeffsep=;\na;b\n1,5;two\n",
+        "a,b\n1.5,two,\n",
+        "a,b,,\n1.5,two\n",
+        "a;b;;\n1,5;two;;;\n;;\n",
+    ],
+)
+def test_a_table_as_spreadsheets_and_people_write_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text, encoding="utf-8", newline="")
+    table = read_columns(path, ("a", "b"), (), "numbers")
+    ((where, row),) = [(where, table.with_points(row, ("b",))) for where, row in table.rows]
+    assert (row, table.unknown) == ({"a": "1.5", "b": "two"}, ())
+    assert where == f"{path}:{3 if 'sep' in text else 2}"
+
+
+def test_a_cell_beyond_the_last_column_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n1,2,3\n")
+    with pytest.raises(ConfigError, match=r"t\.csv:2: found 3 columns, expected 2"):
+        read_columns(path, ("a", "b"), (), "numbers")
