@@ -17,12 +17,25 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import did_you_mean, shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.model import FINGER, HAND, RENAMED, SENSORS, Files, Settings, Simulated, Source, json_schema
+from tacshade_edge.settings.model import (
+    FINGER,
+    HAND,
+    RENAMED,
+    SENSORS,
+    Files,
+    Rpicam,
+    Settings,
+    Simulated,
+    Source,
+    V4l2,
+    json_schema,
+)
 from tacshade_edge.settings.placed import wrong_with
 from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 T = TypeVar("T")
+_V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
 _MISTAKES_MAX = 50  # found one after another; further ones appear when these are fixed
 
 
@@ -100,6 +113,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
         settings, wrong_of_one = _converted(path, value_of_one, found_of_one, Settings, schema)
         known = {m.key for m in (*mistakes, *wrong_of_one)}
         wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, schema, known)
+        wrong_of_one += _exposure_mistakes(path, found_of_one, settings)
         wrong_of_one += _hand_mistakes(path, value_of_one, found_of_one, known, several)
         wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # report a shared key once
         if settings is not None:
@@ -135,6 +149,22 @@ def _hand_mistakes(
         return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else `split` reported it
     problem = wrong_with(seven)
     return [_mistake(path, found, (FINGER,), problem)] if problem else []
+
+
+def _exposure_mistakes(path: Path, found: dict[Key, Found], settings: Settings | None) -> list[Mistake]:
+    """An exposure that does not fit into the frame period, which slows the camera down without notice."""
+    source = None if settings is None else settings.source
+    if isinstance(source, Rpicam):
+        name, value, unit_us = "exposure_us", source.exposure_us, 1
+    elif isinstance(source, V4l2) and source.exposure is not None:
+        name, value, unit_us = "exposure", source.exposure, _V4L2_EXPOSURE_US
+    else:
+        return []
+    most = (1_000_000 - 1) // (source.fps * unit_us)
+    if value <= most:
+        return []
+    expected = f"expected at most {most}, because a frame takes {1e6 / source.fps:.0f} µs at {source.fps} frames/s"
+    return [_mistake(path, found, ("source", name), f"found {value}, {expected}")]
 
 
 def _profile_mistakes(

@@ -339,3 +339,23 @@ def test_a_pipe_as_settings_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "s.yaml")
     with pytest.raises(ConfigError, match=r"s\.yaml: found no regular file, expected a settings file$"):
         load(tmp_path / "s.yaml")
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("kind: rpicam, fps: 60, exposure_us: 16666", ""),
+        ("kind: rpicam, fps: 60, exposure_us: 16667", ":1: source.exposure_us: found 16667, expected at most 16666"),
+        ("kind: rpicam, fps: 240", ": source.exposure_us: found 10000, expected at most 4166"),
+        ("kind: v4l2, fps: 30, exposure: 333", ""),
+        ("kind: v4l2, fps: 30, exposure: 334", ":1: source.exposure: found 334, expected at most 333"),
+    ],
+)
+def test_an_exposure_that_is_longer_than_a_frame_is_refused(tmp_path: Path, source: str, said: str) -> None:
+    path = write(tmp_path, f"source: {{{source}}}\n")
+    if not said:
+        load(path)
+        return
+    with pytest.raises(ConfigError) as refused:
+        load(path)
+    assert f"{path}{said}" in str(refused.value)

@@ -190,7 +190,9 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     for path in paths:
         with contextlib.closing(McapFile(path)) as file:
             schemas: dict[int, SchemaName] = {}
+            is_described = False
             for record in _described(file):
+                is_described |= isinstance(record, Channel)
                 if isinstance(record, SchemaName):
                     schemas[record.id] = record
                 elif isinstance(record, Damage):
@@ -199,6 +201,8 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
                     return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
                     topics |= {record.topic} if (found.name, record.encoding) in DECODERS else set()
+            if not is_described and file.summary is None:
+                damage = damage or f"; {shown(path)} ends before its first whole chunk, so nothing in it can be read"
     if len(topics) == 1:
         return topics.pop(), False
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")

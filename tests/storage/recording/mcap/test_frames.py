@@ -278,6 +278,12 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="expected one") as error:
             Recording(path)
         assert found in str(error.value)
+    whole = ours(3)
+    chunk = next(at for at in record_starts(whole) if whole[at] == CHUNK)
+    for end in (9, chunk, chunk + 5, chunk + 100):  # cut before, at and in the first chunk
+        path.write_bytes(whole[:end])
+        with pytest.raises(ConfigError, match=r"no image topics.* ends before its first whole chunk, so nothing in it"):
+            Recording(path)
     for content in (b"", b"\x89PNG\r\n\x1a\n"):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match="not an MCAP file"):
