@@ -10,12 +10,12 @@ import ssl
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from types import TracebackType
 from typing import Any, Final, Self
 
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
@@ -53,6 +53,19 @@ _KEEPALIVE_S: Final = 10
 _BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
+
+
+class _Session(Client):
+    """paho's client, whose thread reports the exception that ends it."""
+
+    on_crash: Callable[[Exception], None]
+
+    def loop_forever(self, timeout: float = 1.0, retry_first_connection: bool = False) -> MQTTErrorCode:
+        try:
+            return super().loop_forever(timeout, retry_first_connection)
+        except Exception as error:  # noqa: BLE001 - `Listener.get` raises it in the reader's thread
+            self.on_crash(error)
+            return MQTTErrorCode.MQTT_ERR_UNKNOWN
 
 
 def listen(
@@ -96,7 +109,7 @@ def listen(
         raise ConfigError(f"name: found {quoted(name)}, expected {_NAME}")
     if password is not None and username is None:
         raise ConfigError("password: found a password without a username, expected both")
-    client = Client(
+    client = _Session(
         CallbackAPIVersion.VERSION2,
         client_id=f"tacshade-client-{secrets.token_hex(6)}",
         protocol=MQTTProtocolVersion.MQTTv5,
@@ -136,7 +149,7 @@ class Listener(Iterator[Message]):
         Number of messages that no daemon publishes (the log shows the first, and one every 10 s).
     """
 
-    def __init__(self, client: Client, host: str, port: int, name: str, topics: Collection[str]) -> None:
+    def __init__(self, client: _Session, host: str, port: int, name: str, topics: Collection[str]) -> None:
         self.passed_over = self.dropped = self.refused = 0
         self._client, self._where, self._base = client, f"{host}:{port}", f"tacshade/{name}"
         self._came = threading.Condition()
@@ -145,10 +158,11 @@ class Listener(Iterator[Message]):
         self._topics = self._full(topics)
         self._connected = self._subscribed = self._closed = False
         self._failure: tuple[str, ReasonCode] | None = None
+        self._crash: Exception | None = None
         self._next_line_s = 0.0
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
-        client.on_message = self._on_message
+        client.on_message, client.on_crash = self._on_message, self._on_crash
         limits = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         limits.MaximumPacketSize = _BYTES_MAX
         client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=limits)
@@ -166,19 +180,28 @@ class Listener(Iterator[Message]):
         ----------
         timeout_s : float, optional
             Longest wait; unlimited by default.
+
+        Raises
+        ------
+        DeviceError
+            The thread that receives messages has ended with the exception that is this one's cause.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             with self._came:
                 left_s = None if end_s is None else end_s - time.monotonic()
-                self._came.wait_for(lambda: self._waiting or self._closed, left_s)
+                self._came.wait_for(lambda: self._waiting or self._closed or self._crash, left_s)
+                if self._crash is not None and not self._closed:
+                    text = f"{self._where}: receiving ended: {self._crash!r}"
+                    raise DeviceError(text, code=ReasonCode.LOST) from self._crash
                 if self._closed or not self._waiting:
                     return None
                 topic, payload, retained = self._waiting.pop(next(iter(self._waiting)))
             try:
                 return decode_message(topic, payload, retained=retained)
             except DecodeError as error:
-                self.refused += 1
+                with self._came:
+                    self.refused += 1
                 self._log_refused(error)
 
     def follow(self, topics: Collection[str]) -> None:
@@ -279,8 +302,19 @@ class Listener(Iterator[Message]):
             self._subscribed, self._failure = True, None
             self._came.notify_all()
 
+    def _on_crash(self, error: Exception) -> None:
+        with self._came:
+            self._crash = error
+            self._came.notify_all()
+
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        topic = message.topic
+        try:
+            topic = message.topic
+        except UnicodeDecodeError:  # paho decodes it only now
+            with self._came:
+                self.refused += 1
+            self._log_refused(DecodeError("found a topic that is not UTF-8"))
+            return
         part = topic.split("/", 3 if topic.startswith("tacshade/hand/") else 2)[-1]
         with self._came:
             key: str | int = topic if part in NEWEST_WINS else next(self._numbers)

@@ -33,6 +33,7 @@ class TacShadeCamera(Camera):
         self._came = threading.Condition()
         self._listener: Listener | None = None
         self._thread: threading.Thread | None = None
+        self._crash: Exception | None = None
         self._latest: U8 | None = None
         self._latest_s = 0.0
         self._fresh = self._touched = False
@@ -86,7 +87,7 @@ class TacShadeCamera(Camera):
             )
         except DeviceError as error:
             raise ConnectionError(f"{self}: {error}") from error
-        self._latest, self._fresh = None, False
+        self._latest, self._fresh, self._crash = None, False, None
         self._thread = threading.Thread(target=self._receive, args=(self._listener,), name="tacshade", daemon=True)
         self._thread.start()
         if warmup:
@@ -116,7 +117,8 @@ class TacShadeCamera(Camera):
         """
         self._check()
         with self._came:
-            self._came.wait_for(self._readable, timeout_ms / 1000)
+            self._came.wait_for(lambda: self._crash is not None or self._readable(), timeout_ms / 1000)
+            self._check()
             if not self._readable() or self._latest is None:
                 raise TimeoutError(f"{self}: no picture within {timeout_ms:.0f} ms")
             self._fresh = False
@@ -143,7 +145,8 @@ class TacShadeCamera(Camera):
 
     def disconnect(self) -> None:
         """Disconnect from the broker. Raises DeviceNotConnectedError."""
-        self._check()
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected")
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.close()
@@ -153,6 +156,8 @@ class TacShadeCamera(Camera):
     def _check(self) -> None:
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected")
+        if self._crash is not None:
+            raise ConnectionError(f"{self}: receiving ended: {self._crash!r}") from self._crash
 
     def _readable(self) -> bool:
         """Whether `async_read` can return a picture now; call it with the lock held."""
@@ -160,6 +165,14 @@ class TacShadeCamera(Camera):
         return self._latest is not None and (self._fresh or (not self._touched and recent))
 
     def _receive(self, listener: Listener) -> None:
+        try:
+            self._show(listener)
+        except Exception as error:  # noqa: BLE001 - `async_read` raises it in the reader's thread
+            with self._came:
+                self._crash = error
+                self._came.notify_all()
+
+    def _show(self, listener: Listener) -> None:
         pictures = Pictures(self.width or SIZE_PX)
         for message in listener:
             try:

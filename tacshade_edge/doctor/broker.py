@@ -16,7 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
-from tacshade_edge.devices.mqtt.client import BrokerAddress, make_client, packet_bytes_max
+from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.client_id_guard import place_of
 from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
@@ -135,7 +135,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
     return warning("daemon", f"{process} is running, but {sensor_id} is not online at the broker", fix)
 
 
-def _listen(client: Client, topic: str) -> _Session:
+def _listen(client: Session, own_topic: str) -> _Session:
     session = _Session()
 
     def on_connect(_client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Any) -> None:
@@ -147,14 +147,15 @@ def _listen(client: Client, topic: str) -> _Session:
     def on_publish(_client: Client, _userdata: Any, _mid: int, code: MqttCode, _properties: Any) -> None:
         session.published = code
 
-    def on_message(_client: Client, _userdata: Any, message: Any) -> None:
-        if message.topic == topic:
+    def on_message(topic: str, message: Any) -> None:
+        if topic == own_topic:
             session.echoed = True
         else:
-            session.messages[message.topic] = bytes(message.payload)
+            session.messages[topic] = bytes(message.payload)
 
     client.on_connect, client.on_subscribe = on_connect, on_subscribe
-    client.on_publish, client.on_message = on_publish, on_message
+    client.on_publish = on_publish
+    client.receive(on_message)
     return session
 
 

@@ -9,11 +9,11 @@ import select
 import time
 from typing import Any, Final
 
-from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import BrokerAddress, connect_now, make_client
+from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, connect_now, make_client
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
@@ -82,14 +82,14 @@ def listen(
 
 
 class _Heard(Results):
-    def __init__(self, client: Client, host: str, port: int, sensor_id: str) -> None:
+    def __init__(self, client: Session, host: str, port: int, sensor_id: str) -> None:
         self._client, self._address = client, (host, port)
         self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
         self._failure = ""
         self._connected = self._closed = False
-        self._frames = FrameAssembler()
+        self._frames = frames = FrameAssembler()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
-        client.on_message = self._on_message
+        client.receive(lambda topic, message: frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload)))
         self._connect()
 
     @property
@@ -189,6 +189,3 @@ class _Heard(Results):
             self._failure = f"rejects a subscription: {refused}"
         else:
             self._connected = True
-
-    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        self._frames.add(message.topic.removeprefix(f"{self._base}/"), bytes(message.payload))

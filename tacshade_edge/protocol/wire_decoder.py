@@ -152,6 +152,8 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     flags, seq, calibration, t_ns, wall_ns = fields[4:9]
     row0, col0, step_px, scale_mm, error_us = fields[11:16]
     if kind != CLOUD:
+        if not rows * cols:
+            raise DecodeError(f"height/cloud payload, byte 32: found {rows} x {cols} cells, expected at least one")
         _check_grid(row0, col0, step_px, scale_mm)
     if flags & POSE:
         _check_pose(fields[16:23])

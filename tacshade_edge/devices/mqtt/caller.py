@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import secrets
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -13,7 +12,7 @@ from typing import Any
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, connect_failure, make_client
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -55,7 +54,7 @@ class MqttCaller:
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_subscribe = self._on_subscribe
         self._client.on_publish = self._on_publish
-        self._client.on_message = self._on_message
+        self._client.receive(self._on_message)
 
     def start(self) -> None:
         """Connect. Raises DeviceError when no broker answers or it rejects us."""
@@ -107,8 +106,7 @@ class MqttCaller:
 
     def stop(self) -> None:
         """Disconnect."""
-        self._client.disconnect()
-        self._client.loop_stop()
+        self._client.stop()
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
@@ -124,9 +122,7 @@ class MqttCaller:
             client.subscribe([(topic, 1) for topic in self._topics])
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
-        text = str(getattr(error, "strerror", None) or error or "no connection")
-        self._set_failure(ReasonCode.UNREACHABLE, text)
+        self._set_failure(ReasonCode.UNREACHABLE, connect_failure()[1])
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
@@ -141,15 +137,15 @@ class MqttCaller:
             self._denied = code if code.is_failure else None
             self._changed.notify_all()
 
-    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+    def _on_message(self, topic: str, message: MQTTMessage) -> None:
         payload = bytes(message.payload)
         with self._changed:
-            if message.topic == self._topics[0]:
+            if topic == self._topics[0]:
                 try:
-                    reply = decode_object(message.topic, payload)
+                    reply = decode_object(topic, payload)
                     self._replies[str(reply["transaction"])] = reply
                 except (DecodeError, KeyError):
                     return  # another caller's reply, or no reply
             else:
-                self._latest[message.topic] = payload
+                self._latest[topic] = payload
             self._changed.notify_all()

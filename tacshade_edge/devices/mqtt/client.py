@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import ssl
+import sys
+from collections.abc import Callable
 from typing import Any, Final, TypedDict
 
-from paho.mqtt.client import Client
+from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from tacshade_edge.errors import ConfigError
+
+_log = logging.getLogger(__name__)
 
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
@@ -32,7 +37,45 @@ class BrokerAddress(TypedDict):
     tls_ca: str | None
 
 
-def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Client:
+class Session(Client):
+    """paho's client, which reconnects by itself and which no broker's message can end.
+
+    Attributes
+    ----------
+    malformed : int
+        Number of messages dropped because their topic is not UTF-8: paho raises when a callback reads it.
+    """
+
+    malformed = 0
+
+    def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
+        """Hand every message to `on_message`, with its topic."""
+
+        def enter(_client: Client, _userdata: Any, message: MQTTMessage) -> None:
+            try:
+                topic = message.topic
+            except UnicodeDecodeError:
+                if not self.malformed:
+                    _log.warning("%s: dropped a message whose topic is not UTF-8; further ones are counted", self.host)
+                self.malformed += 1
+            else:
+                on_message(topic, message)
+
+        self.on_message = enter
+
+    def stop(self) -> None:
+        """Disconnect, and end the network thread."""
+        self.disconnect()
+        self.loop_stop()
+
+
+def connect_failure() -> tuple[BaseException | None, str]:
+    """Return the error of a failed connection and its text, in `on_connect_fail`: paho does not pass it on."""
+    error = sys.exception()
+    return error, str(getattr(error, "strerror", None) or error or "no connection")
+
+
+def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Session:
     """Return a client that retries every second once its loop runs.
 
     It uses MQTT 5, since only a version 5 connection receives a request's response topic and correlation data;
@@ -45,7 +88,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Cl
     """
     tls_ca = broker["tls_ca"]
     _check(broker["host"], base_topic)
-    client = Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
+    client = Session(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
     client.connect_timeout = _CONNECT_TIMEOUT_S
     client.on_socket_open = _on_socket_open

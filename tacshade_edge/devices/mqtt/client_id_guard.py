@@ -20,7 +20,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.mqtt.client import connect_now, publish_properties
+from tacshade_edge.devices.mqtt.client import Session, connect_now, publish_properties
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.strict import decode_object
@@ -45,7 +45,7 @@ class ClientIdGuard:
 
     Parameters
     ----------
-    client : Client
+    client : Session
         Without a client ID, not connected.
     host, port : str, int
     base_topic : str
@@ -53,7 +53,7 @@ class ClientIdGuard:
         This daemon's `new_instance`.
     """
 
-    def __init__(self, client: Client, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
+    def __init__(self, client: Session, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
         self._client = client
         self._where, self._host, self._port, self._base = f"{host}:{port}", host, port, base_topic
         self._instance = instance
@@ -61,7 +61,7 @@ class ClientIdGuard:
         self._waited = False
         self._begin()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
-        client.on_message = self._on_message
+        client.receive(self._on_message)
 
     def _begin(self) -> None:
         self._asked: bool = False
@@ -160,8 +160,8 @@ class ClientIdGuard:
     def _on_subscribe(self, *_: Any) -> None:
         self._asked = True
 
-    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        name, payload = message.topic.removeprefix(f"{self._base}/"), bytes(message.payload)
+    def _on_message(self, topic: str, message: MQTTMessage) -> None:
+        name, payload = topic.removeprefix(f"{self._base}/"), bytes(message.payload)
         self._living |= not message.retain
         if name == "state":
             self._state, self._seen_s = payload, time.monotonic()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import logging
 import secrets
-import sys
 import threading
 from collections.abc import Callable, Collection
 from typing import Any, Final
 
-from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.client import Client
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, refusal_fix
-from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, connect_failure, make_client
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +38,6 @@ class Follower:
     def __init__(self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None]) -> None:
         self._where, self._address = f"{broker['host']}:{broker['port']}", (broker["host"], broker["port"])
         self._username, self._tls_ca = broker["username"], broker["tls_ca"]
-        self._on_message = on_message
         self._lock = threading.Lock()
         self._topics: frozenset[str] = frozenset()
         self._connected = False
@@ -49,7 +47,7 @@ class Follower:
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
-        self._client.on_message = self._on_paho_message
+        self._client.receive(lambda topic, message: on_message(topic, bytes(message.payload), message.retain))
 
     def start(self) -> None:
         """Start connecting, and keep trying until `stop`; an absent broker is no error."""
@@ -67,8 +65,7 @@ class Follower:
 
     def stop(self) -> None:
         """Disconnect."""
-        self._client.disconnect()
-        self._client.loop_stop()
+        self._client.stop()
 
     def _subscribe(self, topics: Collection[str]) -> None:
         # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its queue: of many
@@ -99,9 +96,8 @@ class Follower:
                 self._subscribe(self._topics)
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
-        text = f"{getattr(error, 'strerror', None) or error or 'no connection'}; trying again"
-        self._log_once(text, connect_fix(error, *self._address, self._tls_ca))
+        error, text = connect_failure()
+        self._log_once(f"{text}; trying again", connect_fix(error, *self._address, self._tls_ca))
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         with self._lock:
@@ -115,6 +111,3 @@ class Follower:
                 f"rejects a subscription: {refused}",
                 "give this user access rules (ACL) that let it read tacshade/#",
             )
-
-    def _on_paho_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        self._on_message(message.topic, bytes(message.payload), message.retain)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +16,14 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, no_answer_fix, refusal_fix, with_fix
-from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client, packet_bytes_max, publish_properties
+from tacshade_edge.devices.mqtt.client import (
+    BrokerAddress,
+    connect,
+    connect_failure,
+    make_client,
+    packet_bytes_max,
+    publish_properties,
+)
 from tacshade_edge.devices.mqtt.client_id_guard import ClientIdGuard, new_instance
 from tacshade_edge.devices.mqtt.incoming import BadRequest, read_request
 from tacshade_edge.devices.mqtt.outgoing import CONTENT_TYPES, Outgoing
@@ -83,7 +89,7 @@ class MqttLink(Outgoing):
         client.on_connect_fail = self._on_connect_fail
         client.on_disconnect = self._on_disconnect
         client.on_subscribe = self._on_subscribe
-        client.on_message = self._on_message
+        client.receive(self._on_message)
         self.set_retained("state", b"online")
         self.set_retained("instance", json.dumps(instance).encode())
 
@@ -207,8 +213,7 @@ class MqttLink(Outgoing):
             client.disconnect()
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
-        text = str(getattr(error, "strerror", None) or error or "no connection")
+        error, text = connect_failure()
         with self._lock:
             if not self._stopping:
                 fix = connect_fix(error, self._host, self._port, self._tls_ca)
@@ -231,11 +236,11 @@ class MqttLink(Outgoing):
         self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
     ) -> None:
         with self._lock:
-            for topic, code in zip(("req/+", *self._watched), codes, strict=True):
+            for topic, code in zip(("req/+", *self._watched), codes, strict=False):
                 self._note(topic, code)
 
-    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        if (on_payload := self._watched.get(message.topic.removeprefix(f"{self._base}/"))) is not None:
+    def _on_message(self, topic: str, message: MQTTMessage) -> None:
+        if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:
             on_payload(bytes(message.payload))
             return
         request = read_request(self._base, message)

@@ -21,7 +21,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
+from tacshade_edge.devices.mqtt.client import Session, packet_bytes, publish_properties
 from tacshade_edge.devices.mqtt.refusals import Refusals
 from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
 from tacshade_edge.protocol.requests import Request
@@ -53,7 +53,7 @@ class Outgoing:
 
     Parameters
     ----------
-    client : Client
+    client : Session
         This object sets its `on_publish`.
     where : str
         Name of the broker in the log.
@@ -63,7 +63,7 @@ class Outgoing:
     """
 
     def __init__(
-        self, client: Client, where: str, base_topic: str, on_outcome: Callable[[str, int, PayloadOutcome], None]
+        self, client: Session, where: str, base_topic: str, on_outcome: Callable[[str, int, PayloadOutcome], None]
     ) -> None:
         self._client, self._where, self._base, self._on_outcome = client, where, base_topic, on_outcome
         self._lock = threading.Lock()
@@ -88,7 +88,8 @@ class Outgoing:
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
         with self._lock:
-            return {name: self._counters[name] for name in _COUNTERS}
+            counts = self._counters + Counter(bad_requests=self._client.malformed)
+            return {name: counts[name] for name in _COUNTERS}
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.

@@ -70,7 +70,7 @@ class TestRequests:
         for verb, asked in (("status", properties), ("sta\ntus", None), ("explode", properties)):
             message = MQTTMessage(0, f"{BASE}/req/{verb}".encode())
             message.payload, message.properties = b"garbage", asked
-            rig.link._on_message(rig.link._client, None, message)
+            rig.link._on_message(message.topic, message)
         subscriber.wait_for(f"{BASE}/res/status")
         subscriber.wait_for(f"{BASE}/res/explode")
         assert rig.link.counters() | {"replies": 2, "bad_requests": 3, "losses": 0} == rig.link.counters()

@@ -1,0 +1,103 @@
+"""A broker that accepts every client and then sends what no broker should, as raw bytes."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+
+BAD_TOPIC = b"tacshade/\xff\xfe/state"
+"""Not UTF-8."""
+
+
+def packet(kind: int, body: bytes) -> bytes:
+    """An MQTT packet with a body of up to 2 MB."""
+    size, length = len(body), bytearray()
+    while size >= 128:
+        length.append(size & 127 | 128)
+        size >>= 7
+    return bytes((kind, *length, size)) + body
+
+
+def publish(topic: bytes, payload: bytes = b"x") -> bytes:
+    """A PUBLISH of MQTT 5, QoS 0, without properties."""
+    return packet(0x30, len(topic).to_bytes(2, "big") + topic + b"\0" + payload)
+
+
+class HostileBroker:
+    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it.
+
+    Attributes
+    ----------
+    port : int
+    connects : int
+        Number of clients accepted so far.
+    """
+
+    def __init__(self, *raw: bytes, extra_codes: int = 0) -> None:
+        self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._server.getsockname()[1])
+        self._peers: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self) -> HostileBroker:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        for peer in self._peers:
+            with suppress(OSError):
+                peer.shutdown(socket.SHUT_RDWR)
+
+    def send(self, raw: bytes) -> None:
+        """Send bytes to the latest client."""
+        self._peers[-1].sendall(raw)
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                peer, _ = self._server.accept()
+                self._peers.append(peer)
+                self.connects += 1
+                threading.Thread(target=self._serve, args=(peer,), daemon=True).start()
+
+    def _serve(self, peer: socket.socket) -> None:
+        with suppress(OSError, EOFError), peer, peer.makefile("rb") as stream:
+            while True:
+                kind, body = _read(stream.read)
+                if kind == 0x10:
+                    peer.sendall(packet(0x20, b"\0\0\0"))
+                elif kind == 0x82:
+                    peer.sendall(packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra)) + self._raw)
+                elif kind & 0xF6 == 0x32:
+                    size = int.from_bytes(body[:2], "big")
+                    peer.sendall(packet(0x40, body[2 + size : 4 + size]))
+                elif kind == 0xC0:
+                    peer.sendall(packet(0xD0, b""))
+
+
+def _read(read: Callable[[int], bytes]) -> tuple[int, bytes]:
+    head = read(1)
+    if not head:
+        raise EOFError
+    size = shift = 0
+    while True:
+        byte = read(1)[0]
+        size, shift = size | (byte & 127) << shift, shift + 7
+        if byte < 128:
+            return head[0], read(size)
+
+
+def _filters(body: bytes) -> int:
+    """How many topic filters a SUBSCRIBE without properties has."""
+    at, count = 3 + body[2], 0
+    while at < len(body):
+        at += 3 + int.from_bytes(body[at : at + 2], "big")
+        count += 1
+    return count
