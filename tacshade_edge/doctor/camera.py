@@ -19,7 +19,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.rpicam import PROGRAM
-from tacshade_edge.devices.camera.v4l2_controls import Lock
+from tacshade_edge.devices.camera.v4l2_controls import AUTOMATICS, Lock
 from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
 from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
@@ -236,11 +236,16 @@ def _check_stamps(captured: Captured) -> Finding:
     return ok("camera time", found)
 
 
+_OTHER_LOCKS = tuple((name, name.replace("_", " ")) for name in AUTOMATICS)
+
+
 def _check_locks(captured: Captured) -> list[Finding]:
     findings = []
-    for key, label in (("exposure", "exposure"), ("white_balance", "white balance")):
+    for key, label in (("exposure", "exposure"), ("white_balance", "white balance"), *_OTHER_LOCKS):
         lock = captured.described.get(f"{key}_lock")
-        found = f"{label}: {captured.described.get(key, 'not known')}"
+        if (key, label) in _OTHER_LOCKS and lock in (None, Lock.NO_CONTROL):
+            continue
+        found = f"{label}: {captured.described.get(key) or lock or 'not known'}"
         if lock == Lock.NO_CONTROL:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:

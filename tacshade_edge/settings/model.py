@@ -35,6 +35,12 @@ class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     fps: Annotated[int, Meta(ge=1, le=240, description="frames per second to request from the camera")] = 30
     exposure_us: Annotated[int, Meta(ge=1, le=1_000_000, description="locked exposure")] = 10_000
     gain: Annotated[float, Meta(ge=1, le=64, description="locked gain of the image sensor")] = 1.0
+    lens_position: (
+        Annotated[float, Meta(ge=0, le=50, description="locked focus of a lens that moves, dioptres")] | None
+    ) = None
+    sensor_mode: (
+        Annotated[str, Meta(pattern=r"^[0-9]{2,5}:[0-9]{2,5}$", description="WIDTH:HEIGHT of the sensor's mode")] | None
+    ) = None
 
 
 class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):

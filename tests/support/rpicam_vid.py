@@ -47,7 +47,17 @@ def main() -> int:
         parser.add_argument(f"--{name}", type=int)
     for name in ("framerate", "gain"):
         parser.add_argument(f"--{name}", type=float)
-    for name in ("awbgains", "denoise", "codec", "output", "metadata", "metadata-format"):
+    for name in (
+        "autofocus-mode",
+        "lens-position",
+        "mode",
+        "awbgains",
+        "denoise",
+        "codec",
+        "output",
+        "metadata",
+        "metadata-format",
+    ):
         parser.add_argument(f"--{name}")
     for name in ("nopreview", "flush", "list-cameras"):
         parser.add_argument(f"--{name}", action="store_true")
@@ -62,6 +72,7 @@ def main() -> int:
         print("    Modes: 'SRGGB10_CSI2P' : 640x480 [206.65 fps - (1000, 752)/1280x960 crop]")
         return 0
     assert (args.codec, args.output, args.metadata_format, args.flush) == ("yuv420", "-", "txt", True)
+    assert args.autofocus_mode == "manual"  # otherwise a lens that moves focuses all the time
     shape = (args.height, args.width)
     images = np.load(do["frames"]) if "frames" in do else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
     colour = bytes([128]) * max(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0)
@@ -87,6 +98,8 @@ def main() -> int:
                 "FrameDuration": period_ns // 1000,
                 "ColourGains": "[ 1.000000, 1.000000 ]",
             }
+            if do.get("lens"):
+                told["LensPosition"] = 1.0 if args.lens_position == "default" else float(args.lens_position)
             text = "".join(f"{key}={value}\n" for key, value in told.items()).encode() + b"\n"
             if n + 1 < behind:
                 waiting += text

@@ -58,15 +58,32 @@ class RpicamSource:
         Locked exposure time.
     gain : float
         Locked gain of the sensor.
+    lens_position : float, optional
+        Locked focus in dioptres, if the lens moves; by default the camera's own resting place.
+    sensor_mode : str, optional
+        ``WIDTH:HEIGHT`` of the sensor's mode; by default rpicam-vid chooses, for small images often a cropped one.
     """
 
-    def __init__(self, camera: int, width_px: int, height_px: int, fps: float, exposure_us: int, gain: float) -> None:
+    def __init__(
+        self,
+        camera: int,
+        width_px: int,
+        height_px: int,
+        fps: float,
+        exposure_us: int,
+        gain: float,
+        lens_position: float | None = None,
+        sensor_mode: str | None = None,
+    ) -> None:
         self._name = f"camera {camera} of {PROGRAM}"
         self._shape = (height_px, width_px)
         self._exposure_us, self._gain = exposure_us, gain
         self._command = (
             *(PROGRAM, "--camera", str(camera), "--width", str(width_px), "--height", str(height_px)),
             *("--framerate", f"{fps:g}", "--shutter", str(exposure_us), "--gain", f"{gain:g}", "--awbgains", "1,1"),
+            *("--autofocus-mode", "manual", "--lens-position"),
+            "default" if lens_position is None else f"{lens_position:g}",
+            *(("--mode", sensor_mode) if sensor_mode else ()),
             *("--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0", "--nopreview", "--verbose", "0"),
             *("--flush", "--output", "-", "--metadata-format", "txt", "--metadata"),
         )
@@ -164,10 +181,16 @@ class RpicamSource:
             "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
             **{"exposure": f"{exposure} us", "exposure_lock": exposure.lock, "exposure_value": exposure_us},
             **{"gain": round(gain, 3), "white_balance": str(white_balance), "white_balance_lock": white_balance.lock},
+            **self._focus(record),
             "time_stamps": "sensor" if self._sensor_stamps else "on arrival",
             "drops": "inferred from time stamps" if self._sensor_stamps else "not known",
         }
         return self._framed(image, record)
+
+    def _focus(self, record: dict[str, str]) -> dict[str, str]:
+        """The lens position in a frame's metadata, which only a lens that moves has."""
+        control = Control(Lock.LOCKED, _number(record, "LensPosition"))
+        return {"focus": f"{control} dioptres", "focus_lock": control.lock} if "LensPosition" in record else {}
 
     def _is_asked(self, exposure_us: float, gain: float) -> bool:
         """Whether a record has the requested exposure and gain; a value that is missing counts as right."""

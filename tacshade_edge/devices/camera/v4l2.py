@@ -191,6 +191,7 @@ class V4l2Source:
             **({} if exposure.value is None else {"exposure_value": exposure.value}),
             "white_balance": str(white_balance),
             "white_balance_lock": white_balance.lock,
+            **{f"{name}_lock": control.lock for name, control in v4l2_controls.lock_others(self._device).items()},
         }
 
     def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_controls.Control:

@@ -8,7 +8,13 @@ from typing import Protocol
 
 import cv2
 
+from tacshade_edge.devices.camera import v4l2_node
+
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
+# What OpenCV cannot set: linux/v4l2-controls.h (FOCUS_AUTO, AUTOGAIN, BACKLIGHT_COMPENSATION, EXPOSURE_AUTO_PRIORITY).
+AUTOMATICS = {"focus": 0x009A090C, "gain": 0x00980912, "backlight": 0x0098091C, "frame_rate": 0x009A0903}
+"""What else a camera changes by itself, and the control that switches it."""
+
 _NOT_OFFERED = -1.0  # what OpenCV reads for a control that the driver lacks
 
 
@@ -21,7 +27,7 @@ class Properties(Protocol):
 
 
 class Lock(StrEnum):
-    """Whether a control keeps its value; ``exposure_lock`` and ``white_balance_lock`` in ``status/camera``."""
+    """Whether a control keeps its value; ``exposure_lock``, ``white_balance_lock`` and others in ``status/camera``."""
 
     LOCKED = "locked"
     AUTOMATIC = "automatic"
@@ -67,6 +73,13 @@ def lock_white_balance(capture: Properties) -> Control:
     if automatic is None:
         return Control(Lock.NO_CONTROL)
     return Control(Lock.LOCKED if automatic == 0 else Lock.AUTOMATIC)
+
+
+def lock_others(device: str) -> dict[str, Control]:
+    """Switch off everything else that a camera changes by itself, by the names of `AUTOMATICS`."""
+    found = {name: v4l2_node.switched_off(device, control_id) for name, control_id in AUTOMATICS.items()}
+    locks = {None: Lock.NO_CONTROL, 0: Lock.LOCKED}
+    return {name: Control(locks.get(value, Lock.AUTOMATIC)) for name, value in found.items()}
 
 
 def _set_if_offered(capture: Properties, control: int, value: int) -> float | None:

@@ -8,7 +8,7 @@ import os
 import stat
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 
 # linux/videodev2.h
+_VIDIOC_G_CTRL, _VIDIOC_S_CTRL = 0xC008561B, 0xC008561C
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
 _VIDIOC_REQBUFS = 0xC0145608
@@ -198,3 +199,17 @@ def _opened(device: str) -> Iterator[int]:
         yield fd
     finally:
         os.close(fd)
+
+
+def switched_off(device: str, control_id: int) -> int | None:
+    """Set a control to 0 and return what it is then; None if the driver lacks it, or the node cannot be opened."""
+    packed = bytearray(struct.pack("=Ii", control_id, 0))
+    try:
+        with _opened(device) as fd:
+            fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
+            with suppress(OSError):  # read-only, or the driver refuses: the value read back says so
+                fcntl.ioctl(fd, _VIDIOC_S_CTRL, bytearray(struct.pack("=Ii", control_id, 0)))
+            fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
+    except (OSError, ConfigError, DeviceError):
+        return None
+    return int(struct.unpack("=Ii", packed)[1])

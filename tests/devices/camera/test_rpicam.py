@@ -175,3 +175,13 @@ def test_reading_without_opening_and_closing_twice() -> None:
             take()
     camera.close()
     camera.close()
+
+
+@pytest.mark.parametrize(("asked", "found"), [(None, 1), (12.5, 12.5)])
+def test_a_lens_that_moves_is_locked(stand_in: Callable[..., None], asked: float | None, found: float) -> None:
+    stand_in(lens=True)
+    camera = RpicamSource(0, W, H, 50, 4000, 2.0, lens_position=asked, sensor_mode="1640:1232")
+    frames(camera, 1)
+    told = camera.describe()
+    assert (told["focus"], told["focus_lock"]) == (f"locked at {found:g} dioptres", "locked")
+    assert camera._command[camera._command.index("--mode") + 1] == "1640:1232"

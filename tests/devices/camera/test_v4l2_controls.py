@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-import cv2
+import errno
+import struct
 
-from tacshade_edge.devices.camera.v4l2_controls import Control, Lock, lock_exposure, lock_white_balance
+import cv2
+import pytest
+
+from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.camera.v4l2_controls import (
+    AUTOMATICS,
+    Control,
+    Lock,
+    lock_exposure,
+    lock_others,
+    lock_white_balance,
+)
 
 AUTO, VALUE, BALANCE = cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_WB
 
@@ -69,3 +81,25 @@ def test_white_balance() -> None:
     assert driver.values[BALANCE] == 0
     stays = lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,)))
     assert (stays, str(stays)) == (Control(Lock.AUTOMATIC), "automatic; the driver does not lock it")
+
+
+def test_what_else_changes_by_itself_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = {AUTOMATICS["focus"]: 1, AUTOMATICS["frame_rate"]: 1, AUTOMATICS["backlight"]: 0}
+    frozen = AUTOMATICS["frame_rate"]
+
+    def ioctl(_fd: int, request: int, packed: bytearray) -> None:
+        control_id, value = struct.unpack("=Ii", packed)
+        if control_id not in values:
+            raise OSError(errno.EINVAL, "")
+        if request == 0xC008561C:
+            if control_id == frozen:
+                raise OSError(errno.EACCES, "")
+            values[control_id] = value
+        packed[:] = struct.pack("=Ii", control_id, values[control_id])
+
+    monkeypatch.setattr(v4l2_node, "check_kind", lambda _device: None)
+    monkeypatch.setattr(v4l2_node.fcntl, "ioctl", ioctl)
+    locks = {name: control.lock for name, control in lock_others("/dev/null").items()}
+    assert locks == {"focus": "locked", "gain": "no_control", "backlight": "locked", "frame_rate": "automatic"}
+    assert values[AUTOMATICS["focus"]] == 0
+    assert {control.lock for control in lock_others("/dev/none").values()} == {Lock.NO_CONTROL}
