@@ -68,14 +68,13 @@ def devices() -> Iterator[list[str]]:
         os.close(descriptor)
 
 
-ALL = (True, True, True)
-
-
 @pytest.mark.parametrize(
     ("same_id", "same_folder", "same_port"),
     [
-        pytest.param(*shared, marks=[] if shared == ALL else [pytest.mark.slow])
-        for shared in itertools.product((True, False), repeat=3)
+        (True, True, True),
+        pytest.param(True, False, False, marks=pytest.mark.slow),
+        pytest.param(False, True, False, marks=pytest.mark.slow),
+        pytest.param(False, False, True, marks=pytest.mark.slow),
     ],
 )
 def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_folder: bool, same_port: bool) -> None:

@@ -98,6 +98,7 @@ async def test_other_pages_strangers_and_a_server_without_a_folder_are_refused(t
     assert (tmp_path / "run").is_dir()
 
 
+@pytest.mark.slow
 async def test_one_recording_at_a_time_is_played_and_ends_with_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

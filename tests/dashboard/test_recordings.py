@@ -74,6 +74,7 @@ def test_a_name_never_leads_out_of_the_folder(tmp_path: Path, name: object) -> N
     assert recordings.find(inside, "sensor/run").is_dir()
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_no_text_names_anything_else(name: str) -> None:
     here = Path(__file__).parent

@@ -41,23 +41,20 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         ("- 1\n", "SENSOR.yaml"),
         (LEAST + "colour: red\n", r":4: colour: "),
         (LEAST.replace("20", "-1"), r":1: skin_radius_mm: found -1"),
-        (LEAST.replace("20", "0.02"), r":1: skin_radius_mm: found 0.02, expected .*1"),  # metres
+        (LEAST.replace("20", "0.02"), r":1: skin_radius_mm: found 0.02"),  # metres
         (LEAST.replace("20", "wide"), r":1: skin_radius_mm: found wide"),
         (LEAST.replace("20", ".nan"), r":1: skin_radius_mm: found \.nan"),
         (LEAST.replace("20", "true"), r":1: skin_radius_mm: found true"),
         (LEAST.replace("50", "90"), r":2: visible_half_angle_deg: found 90"),
         (LEAST.replace("bright", "up"), r":3: polarity: found up"),
         (LEAST + "camera_distance_mm: 0\n", r":4: camera_distance_mm: found 0"),
-        (LEAST + "flange_T_sensor: [0, 0, x, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.2: found x, expected a number$"),
-        (
-            LEAST + "flange_T_sensor: [0, {}, 0, 1, 0, 0, 0]\n",
-            r":4: flange_T_sensor\.1: found a mapping, expected a nu",
-        ),
+        (LEAST + "flange_T_sensor: [0, 0, x, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.2: found x"),
+        (LEAST + "flange_T_sensor: [0, {}, 0, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.1: found a mapping"),
         (
             LEAST + "flange_T_sensor: [0, 1.0e+300, 0, 1, 0, 0, 0]\n",
-            r":4: flange_T_sensor: found a place 1e\+300 mm away, expected one within 1e\+06",
+            r":4: flange_T_sensor: found a place 1e\+300 mm away",
         ),
-        (LEAST.replace("20", "9" * 400), r":1: skin_radius_mm: found '9{60}…', expected a number"),
+        (LEAST.replace("20", "9" * 400), r":1: skin_radius_mm: found '9{60}…'"),
         (LEAST + "flange_T_sensor: [0, 0, 0, 1, 0, 0]\n", r":4: flange_T_sensor: found "),
         (
             LEAST + "flange_T_sensor: [0, 0, 0, 1, 1, 0, 0]\n",
@@ -84,7 +81,7 @@ def test_no_sensor_file(tmp_path: Path) -> None:
 def test_a_typed_value_is_checked_like_the_file(tmp_path: Path) -> None:
     assert [check_value("skin_radius_mm", "20"), check_value("polarity", "dark")] == [20, "dark"]
     for key, text in (("skin_radius_mm", "0.02"), ("skin_radius_mm", ""), ("polarity", "1"), ("skin_radius_mm", "nan")):
-        with pytest.raises(ConfigError, match=f"^{key}: found {text or 'nothing'}, expected "):
+        with pytest.raises(ConfigError, match=f"^{key}: found {text or 'nothing'}"):
             check_value(key, text)
 
 

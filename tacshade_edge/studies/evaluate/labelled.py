@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.stats import rankdata
 
 from tacshade_edge.reasons import code_of
 from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, without_nan
@@ -141,6 +140,8 @@ def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
 
 def spearman(one: F64, other: F64) -> float:
     """Spearman's rank correlation; NaN if one does not vary."""
+    from scipy.stats import rankdata  # takes a second, which whoever does not rank need not spend
+
     a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale > 0 else math.nan

@@ -100,6 +100,7 @@ def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Itera
         yield one.hears(f"press {number}: ")
 
 
+@pytest.mark.slow
 def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
     out = tmp_path / "out"
     with person("--labels", str(out), "--config", str(config)) as one:

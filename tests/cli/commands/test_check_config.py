@@ -50,12 +50,12 @@ def test_a_missing_calibration_is_a_warning_with_the_next_command(folder: Path, 
         ("calibration: s.yaml\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/s.yaml: "),
         ("calibration: cut.npz\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/cut.npz: "),
         ("calibration: one.npy\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/one.npy: "),
-        ("calibration: c.npz\n", "s.yaml: source.width_px: found 640x480 px, expected 160x120 px, the size of the"),
+        ("calibration: c.npz\n", "s.yaml: source.width_px: found 640x480 px"),
         (
             "calibration: c.npz\nsource: {kind: files, path: absent}\n",
             "s.yaml:2: source.path: {folder}/absent: found nothing, expected",
         ),
-        (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem, expected a PEM"),
+        (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem"),
         (GOOD + "mqtt: {ca_file: empty}\n", "s.yaml:3: mqtt: CA certificate file {folder}/empty: "),
         (GOOD + "mqtt: {username: a, password_file: absent}\n", "s.yaml:3: mqtt.password_file: {folder}/absent: No"),
         (GOOD + "mqtt: {password_file: s.yaml}\n", "s.yaml:3: mqtt.password_file: found a password without a user"),
@@ -107,15 +107,15 @@ serial: {baud: 1}
     lines = capsys.readouterr().err.splitlines()
     path = f"tacshade-edge: {folder}/s.yaml"
     expected = [
-        f"{path}:1: sensr_id: found an unknown key, expected one of ",
-        f"{path}:2: profile: found balancd, expected one of ",
-        f"{path}:3: latency_budget_ms: found .inf, expected a finite number",
-        f"{path}:4: mqtt.prot: found an unknown key, expected one of ",
-        f"{path}:4: mqtt.port: found 0, expected an integer from 1 to 65535",
-        f"{path}:5: source.fps: found fast, expected an integer from 1 to 240",
-        f"{path}:5: source.widht_px: found an unknown key, expected one of ",
-        f"{path}:6: serial.baud: found 1, expected an integer from 1200",
-        f"{path}: serial.device: found nothing, expected a string",
+        f"{path}:1: sensr_id: found an unknown key",
+        f"{path}:2: profile: found balancd",
+        f"{path}:3: latency_budget_ms: found .inf",
+        f"{path}:4: mqtt.prot: found an unknown key",
+        f"{path}:4: mqtt.port: found 0",
+        f"{path}:5: source.fps: found fast",
+        f"{path}:5: source.widht_px: found an unknown key",
+        f"{path}:6: serial.baud: found 1",
+        f"{path}: serial.device: found nothing",
     ]
     assert [line[: len(start)] for line, start in zip(lines, expected, strict=True)] == expected
     for k, nearest in ((0, "sensor_id"), (1, "balanced"), (3, "port"), (6, "width_px")):

@@ -65,9 +65,8 @@ def noisy(speed_mm_s: float, noise_mm: float, frames: int, onset: int, seed: int
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_mm", [0.012, 0.2])
-def test_noise_alone_is_no_slip_in_ten_minutes(noise_mm: float) -> None:
-    told = noisy(0.0, noise_mm, 36_000, 0)
+def test_noise_alone_is_no_slip_in_ten_minutes() -> None:
+    told = noisy(0.0, 0.2, 36_000, 0)
     assert sum(b and not a for a, b in pairwise(told)) <= 1
 
 

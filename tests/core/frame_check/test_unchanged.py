@@ -41,6 +41,7 @@ def each_by_itself(images: list[U8], profile: str, model: SensorModel, **step: A
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["balanced", "accurate"])
 @pytest.mark.parametrize("model", [HALF, FULL, TACTIP], ids=["half", "full", "tactip"])
 def test_frames_of_a_free_skin_are_judged_once(profile: str, model: SensorModel) -> None:
@@ -55,6 +56,7 @@ def test_frames_of_a_free_skin_are_judged_once(profile: str, model: SensorModel)
         assert np.nansum(np.abs(result.height.height_mm)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["balanced", "accurate"])
 def test_a_press_that_creeps_in_is_felt_as_early(profile: str) -> None:
     depths_mm = np.arange(0.0, 0.5, 0.004)

@@ -111,7 +111,7 @@ def test_no_contact_raises_a_false_alarm() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [FULL, TACTIP, *map(random_sensor, range(4))])
+@pytest.mark.parametrize("model", [TACTIP, *map(random_sensor, range(2))])
 def test_no_contact_raises_a_false_alarm_on_other_sensors(model: SensorModel) -> None:
     assert false_alarms(model, sorted(OBJECTS), (1.0, 5.0)) == []
 

@@ -28,6 +28,7 @@ def off(found: FoundFlange) -> F64:
     return np.concatenate((moved_mm, np.degrees(turned.ravel()), (found.delay_ms - DELAY_MS,)))
 
 
+@pytest.mark.slow
 def test_the_plan_finds_it_from_ten_millimetres_and_ten_degrees() -> None:
     found = find_flange(exact_frames(TRUE, DELAY_MS), START, APEX_MM)
     error, sigma = off(found), np.sqrt(np.diag(found.covariance))
@@ -48,6 +49,7 @@ def test_the_same_again_is_the_same() -> None:
     np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
+@pytest.mark.slow
 def test_where_the_base_is_does_not_matter() -> None:
     # The surface hangs on a wall a metre away.
     base = shift(1000, -500, 30) @ turn((0, 1.5, 0.8))

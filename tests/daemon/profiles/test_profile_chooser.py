@@ -107,6 +107,7 @@ def test_a_frame_that_began_before_the_step_does_not_count() -> None:
     assert machine.chooser.standing.frames == frames
 
 
+@pytest.mark.slow
 def test_tries_that_fail_become_rare_and_one_that_lasts_is_forgiven() -> None:
     machine = Machine(20.0, 5.0)
     machine.run(10)
@@ -136,6 +137,7 @@ def most_in_a_minute(times_s: Iterable[float]) -> int:
 noise = st.lists(st.tuples(st.integers(1, 400), st.floats(0.01, 100.0)), min_size=1, max_size=40)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(noise, st.floats(1.0, 50.0), st.sampled_from([1.0, 10.0, 60.0]))
 def test_whatever_the_load_does_there_are_few_steps_a_minute(
@@ -158,6 +160,7 @@ def late_at_the_top(machine: Machine) -> float:
     return 1000.0 if machine.chooser.profile == "accurate" else 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("enemy", [worst, late_at_the_top])
 def test_even_an_enemy_gets_few_steps(enemy: Callable[[Machine], float]) -> None:
     machine = Machine(20.0, 10.0)
@@ -171,6 +174,7 @@ def test_even_an_enemy_gets_few_steps(enemy: Callable[[Machine], float]) -> None
 SLOW_FPS = 3.0  # a camera for tests of minutes
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.floats(1.0, 60.0), st.floats(1.0, 5.0), st.integers(0, 2**32))
 def test_a_steady_machine_comes_to_rest(budget_ms: float, load: float, seed: int) -> None:
@@ -188,6 +192,7 @@ def test_a_steady_machine_comes_to_rest(budget_ms: float, load: float, seed: int
         assert WAIT_MS + load * COSTS_MS[better] > MARGIN * 0.95 * budget_ms
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.floats(15.0, 60.0), st.floats(1.5, 50.0), st.integers(5, 120))
 def test_it_is_back_where_it_was_after_a_load(budget_ms: float, load: float, seconds: int) -> None:

@@ -143,6 +143,7 @@ def test_a_robot_that_begins_anew_asks_again(bench: Bench) -> None:
     assert bench.robot.need() == Need.CONTACT
 
 
+@pytest.mark.slow
 def test_a_robot_that_reads_late_gets_the_newest(bench: Bench) -> None:
     assert bench.ask("TOUCH ON depth_mm 100") == "OK 1 on=1 rate_hz=100"
     shown = 0

@@ -36,7 +36,7 @@ def test_light_at_the_rim_is_no_load() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("height", "seeds"), [(240, range(12)), (480, range(0, 12, 3))])
+@pytest.mark.parametrize(("height", "seeds"), [(240, range(0, 12, 2)), (480, range(1))])
 def test_a_load_is_told_from_none_on_other_sensors(height: int, seeds: range) -> None:
     """Of 32 loads 3 mm deep `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` misses none."""
     missed = []

@@ -37,6 +37,7 @@ def test_few_references_are_a_warning() -> None:
     assert warning.startswith("references: found 1, expected 5 to measure noise")
 
 
+@pytest.mark.slow
 def test_references_that_differ_from_each_other() -> None:
     others = list(references()[1:])
     (warning,) = calibrate(SENSOR, [nuisance.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
@@ -53,6 +54,7 @@ def test_references_that_differ_from_each_other() -> None:
     assert any("seems pressed" in warning for warning in calibrate(SENSOR, one_loaded, (), True).warnings)
 
 
+@pytest.mark.slow
 def test_a_new_reference_keeps_everything_else() -> None:
     dimmer = [nuisance.gain(unloaded(noise_seed=60 + k), 0.8) for k in range(3)]
     renewed = rezero(calibrated(), dimmer)
