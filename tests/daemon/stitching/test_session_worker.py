@@ -209,6 +209,8 @@ def test_what_cannot_be_added(robot: Robot, ball: Reconstruction, nothing: Recon
     robot.show(nothing)
     robot.ask("BEGIN")
     assert code(robot.add(nothing)) == ReasonCode.NO_CONTACT
+    black = replace(nothing, valid=False, reason=Reason(ReasonCode.BLACK, "black"))
+    assert code(robot.add(black)) == ReasonCode.FRAME_INVALID
     assert code(robot.add(ball, pose=False)) == ReasonCode.NO_POSE
     assert code(robot.ask("END")) == ReasonCode.NO_PRESS
     assert code(robot.ask("BEGIN")) == ReasonCode.BUSY
