@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience, wait_until
 
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-CAMERA_AWAY = "kind: v4l2, device: /dev/video99, width_px: 160, height_px: 120"
 Lines = Callable[[], list[str]]
 
 
@@ -49,17 +48,6 @@ def images(folder: Path, image: np.ndarray) -> str:
 def say(lines: Lines, *parts: str) -> bool:
     """Whether one line is a warning with all of these parts."""
     return any(" WARNING " in line and all(part in line for part in parts) for line in lines())
-
-
-@pytest.mark.slow
-def test_no_broker_and_no_camera(tmp_path: Path, run_quietly: Callable[..., Lines]) -> None:
-    calibration_file.save(tmp_path / "c.npz", painted_calibration())
-    port = free_port()
-    lines = run_quietly(port, CAMERA_AWAY)
-    wait_until(
-        lambda: say(lines, f"127.0.0.1:{port}: ", "Connection refused; to fix it: start the broker: sudo systemctl"), 20
-    )
-    wait_until(lambda: say(lines, "source away: camera /dev/video99: no such device", "to fix it: plug it in"), 20)
 
 
 @pytest.mark.broker

@@ -12,6 +12,8 @@ from tacshade_edge.types import F32, F64, I64
 NAMES = ("depth_mm", "tilt_x_deg")
 NOISE = 0.05
 
+pytestmark = pytest.mark.slow  # a model each: seconds of a core
+
 
 def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
     """Features, and the two numbers that they show, each with noise."""
@@ -29,7 +31,6 @@ def learnt(features: F32, labels: F64, groups: I64 | None = None, names: tuple[s
     return learn(features, imprints, names, labels, np.arange(len(features)) if groups is None else groups, "n")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rows", [60, 300])
 def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
     found = learnt(*table(rows, 1))
@@ -47,13 +48,11 @@ def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
     assert np.mean([one.alike for one in answers]) > 0.95
 
 
-@pytest.mark.slow
 def test_more_labels_make_it_better() -> None:
     few, many = (learnt(*table(rows, 3)).reports[1].error for rows in (60, 800))
     assert many < 0.75 * few
 
 
-@pytest.mark.slow
 def test_what_the_frames_do_not_show_is_not_answered() -> None:
     features, labels = table(200, 4)
     labels[:, 1] = np.random.default_rng(5).uniform(-5, 5, len(labels))
@@ -65,14 +64,12 @@ def test_what_the_frames_do_not_show_is_not_answered() -> None:
     assert learnt(features, labels).model is None
 
 
-@pytest.mark.slow
 def test_rows_that_contradict_the_others_are_named() -> None:
     features, labels = table(300, 6)
     labels[[17, 203], 0] += 2.0
     assert learnt(features, labels).reports[0].contradicting == (17, 203)
 
 
-@pytest.mark.slow
 def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
     features, labels = table(300, 7)
     labels[::3, 1] = np.nan
@@ -84,7 +81,6 @@ def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
     assert error < 3 * NOISE
 
 
-@pytest.mark.slow
 def test_frames_of_one_press_are_held_out_together() -> None:
     """Each press four times, a little other: by single frames the error would look like the label's repetition."""
     features, labels = table(60, 9, noise=0.3)
