@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -137,13 +138,6 @@ def test_a_recording_is_the_presses_in_it(folder: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "a" / "map.json").read_text())["used"] == 3
 
 
-def test_a_recording_without_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = recorded(folder, tmp_path / "recording", poses=False)
-    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--recording", str(recording)]
-    assert main([*given, "--out", str(tmp_path / "a")]) == 78
-    assert "found no usable press: the table has no pose for this image" in capsys.readouterr().err
-
-
 def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(folder, tmp_path / "pad")
     cv2.imwrite(str(tmp_path / "pad" / "press_0000.png"), unloaded())
@@ -158,35 +152,6 @@ def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest
     records = json.loads((tmp_path / "out" / "map.json").read_text())["presses"]
     assert [r["used"] for r in records[:4]] == [False, False, False, True]
     assert records[0]["reason"] == "no contact"
-
-
-def test_nothing_touched(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(folder, tmp_path / "pad")
-    for path in (tmp_path / "pad").glob("press_*.png"):
-        cv2.imwrite(str(path), unloaded())
-    assert main(words(tmp_path / "pad", tmp_path / "out")) == 78
-    assert "found no usable press: no contact" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("POSES.csv", "image,x_mm\n"), "POSES.csv:1: found the header"),
-        (("POSES.csv", "image,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), "found no rows"),
-        (("PAD.npz", "nothing"), "PAD.npz: the file is not a known surface"),
-    ],
-)
-def test_a_bad_table_is_told(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], message: str
-) -> None:
-    shutil.copytree(folder, tmp_path / "pad")
-    (tmp_path / "pad" / change[0]).write_text(change[1])
-    code = main(words(tmp_path / "pad", tmp_path / "out", "--truth", str(tmp_path / "pad" / "PAD.npz")))
-    assert code == 78
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
 
 
 def test_presses_too_far_apart_are_told(
@@ -206,37 +171,50 @@ def test_a_folder_that_cannot_be_written(folder: Path, tmp_path: Path, capsys: p
     assert "cannot write it" in capsys.readouterr().err
 
 
-def test_one_orientation_does_not_find_the_flange(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def untouched(pad: Path) -> None:
+    for path in pad.glob("press_*.png"):
+        cv2.imwrite(str(path), unloaded())
+
+
+def no_number(pad: Path) -> None:
+    first, second, *rest = (pad / "POSES.csv").read_text().splitlines()
+    (pad / "POSES.csv").write_text("\n".join((first, second.replace(second.split(",")[1], "nan"), *rest)))
+
+
+@pytest.mark.parametrize(
+    ("change", "more", "place"),
+    [
+        (untouched, (), "no contact"),
+        (no_number, ("--find-flange",), "POSES.csv:2: x_mm: "),
+        (lambda pad: (pad / "POSES.csv").write_text("image,x_mm\n"), (), "POSES.csv:1: "),
+        (lambda pad: (pad / "POSES.csv").write_text("image,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), (), "POSES.csv"),
+        (lambda pad: (pad / "PAD.npz").write_text("nothing"), ("--truth", "{pad}/PAD.npz"), "PAD.npz: "),
+        (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y and z"),
+        (lambda _: None, ("--find-flange", "--truth", "{pad}/PAD.npz"), "--truth: "),
+    ],
+)
+def test_what_cannot_be_stitched_is_one_line(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[Path], object],
+    more: tuple[str, ...],
+    place: str,
 ) -> None:
-    assert main(words(folder, tmp_path / "out", "--find-flange")) == 78
+    pad = tmp_path / "pad"
+    shutil.copytree(folder, pad)
+    change(pad)
+    assert main(words(pad, tmp_path / "out", *(word.format(pad=pad) for word in more))) == 78
     (line,) = without_progress(capsys.readouterr().err)
-    assert "POSES.csv: translation along x, y and z cannot be determined: every press has the same orientation" in line
+    assert place in line
     assert not (tmp_path / "out").exists()
 
 
-def test_a_recording_with_few_presses_does_not_find_the_flange(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("poses", "more"), [(False, ()), (True, ("--find-flange",))])
+def test_a_recording_without_poses_or_with_few(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], poses: bool, more: tuple[str, ...]
 ) -> None:
-    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--find-flange"]
-    recording = recorded(folder, tmp_path / "recording")
-    assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "out")]) == 78
-    assert "recording: found 3 presses with a pose, expected at least 12" in capsys.readouterr().err
-
-
-def test_a_pose_that_is_no_number_does_not_find_the_flange(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(folder, tmp_path / "pad")
-    table = tmp_path / "pad" / "POSES.csv"
-    first, second, *rest = table.read_text().splitlines()
-    table.write_text("\n".join((first, second.replace(second.split(",")[1], "nan"), *rest)))
-    assert main(words(tmp_path / "pad", tmp_path / "out", "--find-flange")) == 78
-    assert "POSES.csv:2: x_mm: found" in capsys.readouterr().err
-
-
-def test_a_known_surface_is_of_no_use_for_the_flange(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(words(folder, tmp_path / "out", "--find-flange", "--truth", str(folder / "PAD.npz"))) == 78
-    assert "--truth: found --find-flange as well" in capsys.readouterr().err
+    recording = recorded(folder, tmp_path / "recording", poses=poses)
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--recording", str(recording)]
+    assert main([*given, *more, "--out", str(tmp_path / "out")]) == 78
+    assert len(without_progress(capsys.readouterr().err)) == 1
