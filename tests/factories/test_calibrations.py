@@ -85,6 +85,7 @@ def test_a_new_reference_is_made_again_too(path: Path, monkeypatch: pytest.Monke
     assert found.factors == expected.factors
 
 
+@pytest.mark.slow
 def test_nothing_is_written_where_that_is_not_wanted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stored(path, monkeypatch, Inputs(inputs().sensor, inputs().references))
     before = path.read_bytes()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+
+from tools.testbed.patience import patience
 
 SCRIPT = """
 import os, sys
@@ -40,5 +43,7 @@ assert len(loads) == 1, "another profile's is loaded"
 
 
 def test_a_preloaded_network_works_in_a_forked_process() -> None:
-    done = subprocess.run((sys.executable, "-c", SCRIPT), capture_output=True, text=True, check=False, timeout=120)
+    here = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    words = (sys.executable, "-c", SCRIPT)
+    done = subprocess.run(words, env=here, capture_output=True, text=True, check=False, timeout=patience(120))
     assert done.returncode == 0, done.stderr
