@@ -15,7 +15,8 @@ from typing import NoReturn
 import numpy as np
 
 from tacshade_edge.capture.live import Live
-from tacshade_edge.capture.printer.head import Head, KeypressStop, PrinterLine, SafetyStop, Stopped
+from tacshade_edge.capture.printer.head import Head, KeypressStop
+from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
 from tacshade_edge.capture.printer.plan import BESIDE_START_MM, PlannedPress, check_reach
 from tacshade_edge.capture.printer.touch import NEAR_MM, ContactDetector, Touch
 from tacshade_edge.capture.session import Session

@@ -11,7 +11,8 @@ from enum import Enum
 import numpy as np
 
 from tacshade_edge.capture.live import Live
-from tacshade_edge.capture.printer.head import Head, KeypressStop, SafetyStop, Stopped
+from tacshade_edge.capture.printer.head import Head, KeypressStop
+from tacshade_edge.capture.printer.line import SafetyStop, Stopped
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey

@@ -16,7 +16,7 @@ from tacshade_edge.capture.labels.scale import BAUD, Scale, scale_port
 from tacshade_edge.capture.labels.session import LabelSession
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
-from tacshade_edge.capture.printer.head import PrinterLine
+from tacshade_edge.capture.printer.line import PrinterLine
 from tacshade_edge.capture.printer.plan import planned_presses
 from tacshade_edge.capture.printer.pressing import Pressing
 from tacshade_edge.capture.robot_place import RobotPlaces
