@@ -217,6 +217,13 @@ def test_numbers_that_no_sensor_has_are_refused() -> None:
             wire.decode(payload)
 
 
+@pytest.mark.parametrize(("rows", "cols"), [(0, 0), (0, 7), (5, 0)])
+def test_a_map_has_at_least_one_cell(rows: int, cols: int) -> None:
+    made = reconstruction(np.zeros((rows, cols), np.float32), *_none())
+    with pytest.raises(DecodeError, match="byte 32"):
+        wire.decode(wire.encode_height(made, calibration_crc32=0))
+
+
 def test_more_cells_than_any_camera_has_are_refused() -> None:
     head = bytearray(wire.encode_height(reconstruction(np.zeros((1, 1), np.float32), *_none()), calibration_crc32=0))
     struct.pack_into("<2H", head, 32, 2048, 2049)
