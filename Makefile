@@ -13,7 +13,7 @@
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
-CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu'
+CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu' 'numba>=0.61,<1'
 
 .PHONY: demo lint check docs test test-arm test-container dist deb apt image lock faults format clean
 .DELETE_ON_ERROR:

@@ -1,9 +1,8 @@
-"""Trains a network further with presses, and rehearses what it knows of other sensors: the losses and the steps."""
+"""Train a shipped network on a twin's frames."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,182 +10,158 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tacshade_edge.core.calibration.refit.press_targets import VIEWS, PressTarget, Targets
-from tacshade_edge.fitting.rehearsal import Rehearsal
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.fitting.loss import COARSE_CELLS, depth_loss, shear_loss, split_output
 from tacshade_edge.fitting.torch_network import TorchNetwork
+from tacshade_edge.fitting.torn import spoil
+from tacshade_edge.fitting.twin import HALVED, WHOLE, Frames
+from tacshade_edge.inference.network import SHEAR, network_size
+from tacshade_edge.types import Calibration
 
-STEPS, BATCH = 300, 12
-RATE = 3e-3
-"""Greatest learning rate of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
+BATCH, AT_ONCE = 24, 12
+"""The gradient of a batch is summed over parts, which halves the memory."""
+RATE, SHEAR_RATE = 1e-3, 5e-4
+"""Greatest learning rates of one cycle (Smith and Topin, 2019) of AdamW."""
+WARM_PART, DECAY = 0.15, 1e-3
+TORN_PART = 0.12
 OWN_PART = 0.3
-"""Share of the steps that always see the sensor as it is; the others draw one of `VIEWS`."""
-REHEARSAL_WEIGHT, REHEARSED_AT_ONCE = 1.0, 48
-OUTLINE_WEIGHT, FAR_WEIGHT, UNTRUSTED_WEIGHT = 2.0, 1.0, 0.5
-MORE_CELLS = 20
-"""Added to the cell count that divides a press's loss, so that a small press weighs less than a wide one."""
+"""Share of the steps that always see the sensor as it is; the others turn or mirror it."""
+USUAL_DEPTH, USUAL_DRAG, STILL = 0.24, 0.16, 0.0075
+"""In skin radii: presses up to this depth and drags up to this length are drawn more often, and undragged ones too."""
+LEAST_CELLS = 60
+"""A contact with fewer cells (of 112x112) is not judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
-    """Presses as tensors; see `PressTarget`."""
+class Maps:
+    """A twin's frames for a network.
 
-    white: Tensor
-    surface: Tensor
+    Attributes
+    ----------
+    fold : int
+    known : Tensor float32 (6, N, N)
+    reference, white : Tensor uint8 (S or F, cells, cells)
+    sensor : Tensor int64 (F,)
+    height : Tensor float16 (F, cells, cells), in disc radii
+    contact : Tensor bool (F, cells, cells)
+    shear : Tensor float32 (F, 2, COARSE_CELLS, COARSE_CELLS), in disc radii
+    """
+
+    fold: int
     known: Tensor
-    above: Tensor
-    far: Tensor
-    inside: Tensor
+    reference: Tensor
+    white: Tensor
+    sensor: Tensor
     height: Tensor
     contact: Tensor
-    untrusted: Tensor
+    shear: Tensor
 
-    @classmethod
-    def of(cls, presses: Sequence[PressTarget]) -> Batch:
-        """Stack presses."""
+    def batch(self, index: Tensor, turn: int) -> tuple[Tensor, ...]:
+        """White of frames and their references, then height, contact and shear in the network's units.
 
-        def stacked(name: str) -> Tensor:
-            return torch.from_numpy(np.stack([getattr(press, name) for press in presses])).float()
+        `turn` selects one of the square's 8 symmetries; a turned sensor is another sensor with the same geometry.
+        """
 
-        surface, known = stacked("surface"), stacked("known")
-        # More than a cell beyond where the indenter lies inside the undeformed skin, nothing can touch.
-        touchable = functional.max_pool2d((surface > 0).float(), 3, 1, 1)
-        return cls(
-            stacked("white"),
-            surface,
-            known,
-            (surface > 0).float() - known,
-            stacked("far"),
-            stacked("inside"),
-            stacked("height"),
-            stacked("contact_logit").sigmoid() * touchable,
-            stacked("untrusted_logit").sigmoid()[:, None],
+        def turned(maps: Tensor) -> Tensor:
+            maps = maps.rot90(turn % 4, (-2, -1))
+            return maps.flip(-1) if turn >= 4 else maps
+
+        white, at_rest = (
+            turned(each).float() / 255 for each in (self.white[index], self.reference[self.sensor[index]])
         )
+        height, contact = turned(self.height[index]).float() * HEIGHT_SCALE, turned(self.contact[index]).float()
+        shear = turned(self.shear[index]) * HEIGHT_SCALE
+        for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
+            shear = torch.stack((shear[:, 1], -shear[:, 0]), 1)
+        if turn >= 4:
+            shear = shear * shear.new_tensor((-1, 1))[:, None, None]
+        return tuple(each.contiguous() for each in (white, at_rest, height, contact, shear))
 
-    def some(self, which: Tensor) -> Batch:
-        """The presses with the given numbers."""
-        return Batch(*(getattr(self, name)[which] for name in self.__slots__))
+    def inputs(self, white: Tensor, at_rest: Tensor) -> tuple[Tensor, Tensor]:
+        """The network's inputs."""
+        known = self.known.expand(len(white), -1, -1, -1)
+        known = torch.cat((functional.pixel_unshuffle(at_rest[:, None], self.fold), known), 1)
+        last = torch.channels_last
+        white = functional.pixel_unshuffle(white[:, None], self.fold)
+        return white.contiguous(memory_format=last), known.contiguous(memory_format=last)
 
-    def seen_as(self, view: int, fold: int) -> Batch:
-        """The batch as another of `VIEWS` shows it."""
-        turns, mirrored = VIEWS[view]
-
-        def seen(x: Tensor) -> Tensor:
-            turned = torch.rot90(x, turns, (-2, -1))
-            return turned.flip(-1) if mirrored else turned
-
-        white = functional.pixel_unshuffle(seen(functional.pixel_shuffle(self.white, fold)), fold)
-        return Batch(white, *(seen(getattr(self, name)) for name in self.__slots__[1:]))
+    def chances(self, skin_radii: float) -> Tensor:
+        """Weight each frame for drawing: presses like those of users come more often. `skin_radii`: of the disc."""
+        depth = self.height.flatten(1).amax(1).float() * skin_radii
+        touching = functional.adaptive_avg_pool2d(self.contact[:, None].float(), COARSE_CELLS)
+        part = touching.sum((2, 3)).clamp(min=1e-6)
+        drag = ((touching * self.shear).sum((2, 3)) / part).norm(dim=1) * skin_radii
+        usual = (depth < USUAL_DEPTH) & (drag < USUAL_DRAG)
+        return (1 + 1.5 * usual) * (1 + 1.0 * ((depth > 0) & (drag < STILL)))
 
 
-def loss(network: TorchNetwork, fold: int, batch: Batch, factor: float, view: int = 0) -> Tensor:
-    """Loss of a network on presses; `factor` is the one on the shipped network's heights."""
-    folded, untrusted = network(batch.white, network.sensors[view])
-    height, logit = functional.pixel_shuffle(folded, fold).unbind(1)
-    level = _per_press((height - batch.surface).abs(), batch.known)
-    # Where the skin has lifted off the indenter, it lies deeper than the indenter's surface.
-    lifted = _per_press(functional.relu(batch.surface - height), batch.above)
-    far = _per_press((height - factor * batch.height).abs(), batch.far)
-    outline = functional.binary_cross_entropy_with_logits(logit, batch.contact, reduction="none")
-    strange = functional.binary_cross_entropy_with_logits(untrusted, batch.untrusted)
-    return (
-        level
-        + lifted
-        + FAR_WEIGHT * far
-        + OUTLINE_WEIGHT * _per_press(outline, batch.inside)
-        + UNTRUSTED_WEIGHT * strange
+def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Maps:
+    """Prepare a twin's frames for a network."""
+    fold, cells = network_size(name)
+    way, by = WHOLE if name in (SHEAR, WHOLE) else HALVED, disc_map.CELLS // cells
+
+    def pooled(array: np.ndarray) -> Tensor:
+        values = torch.from_numpy(array)
+        if by == 1:
+            return values
+        means = functional.avg_pool2d(values.float()[:, None], by)[:, 0]
+        if values.dtype == torch.bool:
+            return means >= 0.5
+        return (means if values.is_floating_point() else means.round()).to(values.dtype)
+
+    first = np.cumsum([0] + [len(part.reference[way]) for part in parts])
+    geometry = disc_map.geometry_maps(calibration.geometry, calibration.pitch_px, cells)[:, ::fold, ::fold]
+    shear = [functional.avg_pool2d(torch.from_numpy(p.shear).float().permute(0, 3, 1, 2), 2) for p in parts]
+    return Maps(
+        fold,
+        torch.from_numpy(geometry).contiguous(),
+        torch.cat([pooled(part.reference[way]) for part in parts]),
+        torch.cat([pooled(part.white[way]) for part in parts]),
+        torch.cat([torch.from_numpy(part.sensor) + int(k) for part, k in zip(parts, first, strict=False)]),
+        torch.cat([pooled(part.height) for part in parts]),
+        torch.cat([pooled(part.contact) for part in parts]),
+        torch.cat(shear),
     )
 
 
-def _per_press(values: Tensor, weight: Tensor) -> Tensor:
-    return ((values * weight).sum((1, 2)) / (weight.sum((1, 2)) + MORE_CELLS)).mean()
+def train(network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, report: Callable[[int], None]) -> None:
+    """Train a network; `report` receives the number of steps done. `skin_radii` as in `Maps.chances`."""
+    rate = SHEAR_RATE if network.name == SHEAR else RATE
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=WARM_PART)
+    rng, draw = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    chances = maps.chances(skin_radii)
+    for step in range(1, steps + 1):
+        index = torch.multinomial(chances, BATCH, replacement=True, generator=draw)
+        turn = 0 if rng.random() < OWN_PART else int(rng.integers(8))
+        white, at_rest, height, contact, shear = maps.batch(index, turn)
+        untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
+        optimiser.zero_grad(set_to_none=True)
+        for some in torch.arange(BATCH).split(AT_ONCE):
+            made = network(*maps.inputs(white[some], at_rest[some]))
+            true = (maps.fold, *(each[some] for each in (height, contact, shear, untrusted)))
+            loss = shear_loss(made[0], *true) if network.name == SHEAR else depth_loss((made[0], made[1]), *true)
+            (loss * (len(some) / BATCH)).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
+        optimiser.step()
+        schedule.step()
+        report(step)
 
 
-class Known:
-    """What a network says of the frames to rehearse, before its training."""
-
-    def __init__(self, network: TorchNetwork, fold: int, frames: Rehearsal) -> None:
-        self._network, self._fold, self._frames = network, fold, frames
+def error(network: TorchNetwork, maps: Maps) -> float:
+    """Mean error in contact of h, or of the contacts' shear, in disc radii."""
+    errors = []
+    for index in torch.arange(len(maps.white)).split(BATCH):
+        white, at_rest, height, contact, shear = maps.batch(index, 0)
         with torch.no_grad():
-            parts = [self._run(some) for some in torch.arange(len(frames)).split(REHEARSED_AT_ONCE)]
-        self._maps, self._untrusted = (torch.cat(part) for part in zip(*parts, strict=True))
-
-    def loss(self, which: Tensor) -> Tensor:
-        """The loss of frames with the given numbers: how much their results have changed."""
-        maps, untrusted = self._run(which)
-        height, logit = maps.unbind(1)
-        was_height, was = self._maps[which].unbind(1)
-        off, touched = (height - was_height).abs(), (was > 0).float()
-        outline = functional.binary_cross_entropy_with_logits(logit, was.sigmoid(), reduction="none")
-        strange = functional.binary_cross_entropy_with_logits(untrusted, self._untrusted[which].sigmoid())
-        return (
-            _per_press(off, touched)
-            + FAR_WEIGHT * _per_press(off, 1 - touched)
-            + OUTLINE_WEIGHT * _per_press(outline, torch.ones_like(outline))
-            + UNTRUSTED_WEIGHT * strange
-        )
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self._frames)
-
-    def _run(self, which: Tensor) -> tuple[Tensor, Tensor]:
-        frames = self._frames
-        folded, untrusted = self._network(frames.white[which], frames.sensors[frames.sensor[which]])
-        return functional.pixel_shuffle(folded, self._fold), untrusted
-
-
-class Training:
-    """A network in training.
-
-    Parameters
-    ----------
-    network : TorchNetwork
-    fold : int
-    factor : float
-        Multiplies the shipped network's heights.
-    train : Targets
-        At least one press.
-    frames : Rehearsal
-    """
-
-    def __init__(self, network: TorchNetwork, fold: int, factor: float, train: Targets, frames: Rehearsal) -> None:
-        self._network, self._fold, self._factor = network, fold, factor
-        self._train, self._known = Batch.of(train.presses), Known(network, fold, frames)
-        self._count = len(train.presses)
-        self._optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
-        self._schedule = torch.optim.lr_scheduler.OneCycleLR(self._optimizer, RATE, total_steps=STEPS)
-        self._draw = torch.Generator().manual_seed(0)
-        self.step_s = self._step_s()
-
-    def steps(self) -> Iterator[int]:
-        """Train, and yield the number of steps done after each."""
-        for step in range(1, STEPS + 1):
-            self._step()
-            yield step
-
-    def _step(self) -> None:
-        which = torch.randperm(self._count, generator=self._draw)[:BATCH]
-        self._optimizer.zero_grad(set_to_none=True)
-        own = float(torch.rand((), generator=self._draw)) < OWN_PART
-        view = 0 if own else int(torch.randint(len(VIEWS), (), generator=self._draw))
-        self._loss(which, view).backward()
-        self._optimizer.step()
-        self._schedule.step()
-
-    def _loss(self, which: Tensor, view: int) -> Tensor:
-        """Loss of presses with the given numbers and of as many drawn frames."""
-        batch = self._train.some(which).seen_as(view, self._fold)
-        rehearsed = torch.randint(len(self._known), (BATCH,), generator=self._draw)
-        own = loss(self._network, self._fold, batch, self._factor, view)
-        return own + REHEARSAL_WEIGHT * self._known.loss(rehearsed)
-
-    def _step_s(self) -> float:
-        """Duration of a training step, s; measuring it changes no weight."""
-        which = torch.arange(min(BATCH, self._count))
-        taken = []
-        for _ in range(3):
-            began_s = time.monotonic()
-            self._loss(which, 0).backward()
-            taken.append(time.monotonic() - began_s)
-        self._optimizer.zero_grad(set_to_none=True)
-        return min(taken)
+            made = network(*maps.inputs(white, at_rest))
+        touching = contact.flatten(1).sum(1) >= LEAST_CELLS * (len(contact[0]) / disc_map.CELLS) ** 2
+        if network.name == SHEAR:
+            part = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
+            off = (part * (made[0] - shear)).sum((2, 3)) / part.sum((2, 3)).clamp(min=1e-6)
+            errors.append(off.norm(dim=1)[touching])
+        else:
+            off = (split_output(made[0], maps.fold)[0] - height).abs() * contact
+            errors.append((off.flatten(1).sum(1) / contact.flatten(1).sum(1).clamp(min=1))[touching])
+    return float(torch.cat(errors).mean()) / HEIGHT_SCALE

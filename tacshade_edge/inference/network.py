@@ -26,26 +26,25 @@ if TYPE_CHECKING:
 WEIGHTS = Path(str(resources.files("tacshade_edge.inference") / "weights"))
 
 
-def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
-    """Load a shipped network (`Profile.network`), or a fitted one. Only one thread at a time may run it.
+SHEAR = "shear"
+"""Name of the network of shear, which all profiles share."""
+
+
+def load_network(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
+    """Load a shipped network (`Profile.network`) and that of shear, or fitted ones; for one thread at a time.
 
     Raises
     ------
     ValueError
         The fitted weights have another layout.
     """
-    return read_network(WEIGHTS / f"{name}.onnx", fitted)
+    return read_network(WEIGHTS / f"{name}.onnx", fitted, fitted_shear)
 
 
-def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
+def read_network(onnx: Path, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
     about = _about(onnx)
-    frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
-    if fitted is not None:
-        if fitted.layout != layout_of(frame, once):
-            raise ValueError(f"fitted to another layout than that of {onnx.name}")
-        frames = len(values_of(frame))
-        frame, once = with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
+    frame, once = _files(onnx, fitted)
     session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
     with_features = _with_features(onnx, fitted)
 
@@ -57,10 +56,21 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
         maps, untrusted, features = with_features(white, sensor)
         return NetworkMaps(maps[0], untrusted[0, 0]), features[0]
 
-    shear = read_shear(WEIGHTS / "shear.onnx")
+    shear = read_shear(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
     return_free_memory()  # 8 MB for `accurate`
     touch = run_touch if _touch_file(onnx).exists() else None
     return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem), touch)
+
+
+def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
+    """What runs for every frame and what runs once, with fitted weights if there are any. Raises ValueError."""
+    frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
+    if fitted is None:
+        return frame, once
+    if fitted.layout != layout_of(frame, once):
+        raise ValueError(f"fitted to another layout than that of {onnx.name}")
+    frames = len(values_of(frame))
+    return with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
@@ -78,6 +88,12 @@ def network_files(name: str) -> tuple[bytes, bytes]:
     return onnx.read_bytes(), _beside(onnx).read_bytes()
 
 
+def network_size(name: str) -> tuple[int, int]:
+    """A shipped network's fold, and the cells along a side of its map."""
+    about = _about(WEIGHTS / f"{name}.onnx")
+    return int(about["fold"]), int(about["cells"])
+
+
 @cache
 def shipped_layout(name: str) -> str:
     """Layout of a shipped network; fitted weights of another layout cannot run (`FittedNetwork.layout`)."""
@@ -88,8 +104,8 @@ def can_run(name: str, fitted: FittedNetwork) -> bool:
     """Whether fitted weights have the layout and the sizes of a shipped network."""
     if fitted.layout != shipped_layout(name):
         return False
-    about, files = _about(WEIGHTS / f"{name}.onnx"), network_files(name)
-    side = int(about["cells"]) // int(about["fold"])
+    (fold, cells), files = network_size(name), network_files(name)
+    side = cells // fold
     channels = weights_of(files[1])[0].shape[0]
     count = sum(len(values_of(data)) for data in files)
     return fitted.weights.shape == (count,) and fitted.correction.shape == (channels, side, side)
@@ -104,10 +120,10 @@ def _sigma(name: str) -> SigmaModel | None:
     return SigmaModel(tuple(float(known["weights"][term]) for term in TERMS), *others)
 
 
-def read_shear(onnx: Path) -> ShearNetwork:
-    """Read the shear network."""
-    session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
-    with_features = _with_features(onnx)
+def read_shear(onnx: Path, fitted: FittedNetwork | None = None) -> ShearNetwork:
+    """Read the shear network. Raises ValueError like `load_network`."""
+    about, (frame, once) = _about(onnx), _files(onnx, fitted)
+    session, with_features = _session(in_integers(onnx, frame)), _with_features(onnx, fitted)
 
     def run(white: F32, sensor: F32) -> F32:
         answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
@@ -118,7 +134,7 @@ def read_shear(onnx: Path) -> ShearNetwork:
         return answer[0], features[0]
 
     touch = run_touch if _touch_file(onnx).exists() else None
-    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run, touch)
+    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(once), run, touch)
 
 
 def _touch_file(onnx: Path) -> Path:
@@ -146,14 +162,15 @@ def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[
     return run
 
 
-def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
+def touch_networks(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> str:
     """SHA-256 of everything that computes a touch model's features (`TouchModel.networks`)."""
     digest = hashlib.sha256()
     for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / "shear.onnx"):
         for path in (onnx, _beside(onnx), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
             digest.update(path.read_bytes())
-    if fitted is not None:
-        digest.update(fitted.weights.tobytes() + fitted.correction.tobytes())
+    for each in (fitted, fitted_shear):
+        if each is not None:
+            digest.update(each.weights.tobytes() + each.correction.tobytes())
     return digest.hexdigest()
 
 
@@ -212,11 +229,11 @@ def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstruc
     A preloaded network is shared instead of loaded again: only one thread of a daemon runs it.
     """
     name = profile.network
-    fitted = calibration.fitted.get(profile.name)
+    fitted, shear = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
     network = None
     if name:
-        network = _for_all.get(name) if fitted is None else None
-        network = network or load_network(name, fitted)
+        network = _for_all.get(name) if fitted is None and shear is None else None
+        network = network or load_network(name, fitted, shear)
     return Reconstructor(calibration, profile, network, touch=_touch(calibration, profile))
 
 
@@ -225,7 +242,9 @@ def _touch(calibration: Calibration, profile: Profile) -> TouchModel | Reason | 
     model = calibration.touch.get(profile.name)
     if model is None or not profile.network:
         return None
-    if model.networks == touch_networks(profile.network, calibration.fitted.get(profile.name)):
+    if model.networks == touch_networks(
+        profile.network, calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
+    ):
         return model
     text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
     return Reason(ReasonCode.TOUCH_NETWORKS, text)

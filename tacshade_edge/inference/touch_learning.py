@@ -11,7 +11,7 @@ from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.imprint import imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
-from tacshade_edge.inference.network import load_network, touch_networks
+from tacshade_edge.inference.network import SHEAR, load_network, touch_networks
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need
 
 
@@ -51,9 +51,9 @@ class TouchResult:
 def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
     """Learn a profile's touch model; the profile must have a network."""
     assert profile.network is not None
-    fitted = calibration.fitted.get(profile.name)
+    fitted = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
     taken: list[F32] = []
-    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, fitted), touch=taken)
+    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, *fitted), touch=taken)
     names, left_out, known, groups, imprints = [], [], [], [], []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
@@ -75,7 +75,7 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     learnt = LearntTouch(None, ())
     if len(used):
         chosen = [QUANTITIES[q] for q in used]
-        networks = touch_networks(profile.network, fitted)
+        networks = touch_networks(profile.network, *fitted)
         learnt = learn(np.stack(taken), np.stack(imprints), chosen, labels[:, used], numbers, networks)
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 

@@ -24,6 +24,19 @@ class VisibleCircle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     radius_px: Annotated[float, Meta(ge=8, le=20000)]
 
 
+_Size = Annotated[float, Meta(gt=0, le=20)]
+
+
+class PrintSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The keys of `SensorFile.print`, from the sensor's drawing; each overrules what ``calibrate --fit`` finds."""
+
+    pitch_mm: _Size | None = None
+    pin_length_mm: _Size | None = None
+    pin_tip_radius_mm: _Size | None = None
+    pin_base_radius_mm: _Size | None = None
+    marker_radius_mm: _Size | None = None
+
+
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The keys of SENSOR.yaml."""
 
@@ -35,6 +48,7 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     binarisation: Literal["adaptive", "global", "otsu"] | None = None
     flange_T_sensor: Placed = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
     visible_circle: VisibleCircle | None = None
+    print: PrintSizes | None = None
 
 
 def check_value(key: str, text: str) -> float | str:
@@ -77,8 +91,14 @@ def read_sensor(path: Path) -> Sensor:
         raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
     circle = given.visible_circle
     disc = None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px)
-    others = {"flange_T_sensor": tuple(given.flange_T_sensor), "visible_circle": disc}
-    return Sensor(**msgspec.structs.asdict(given) | others)
+    sizes = {} if given.print is None else msgspec.structs.asdict(given.print)
+    others = {
+        "flange_T_sensor": tuple(given.flange_T_sensor),
+        "visible_circle": disc,
+        "print_mm": {name: size for name, size in sizes.items() if size is not None},
+    }
+    plain = {name: value for name, value in msgspec.structs.asdict(given).items() if name != "print"}
+    return Sensor(**plain | others)
 
 
 def with_visible_circle(text: str, circle: Disc | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -210,4 +210,17 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         surround="bright" if rng.random() < 0.6 else "dark",
         specular_spots=int(rng.integers(0, 7)),
         print_seed=seed,
+    )
+
+
+def tactip(model: SensorModel) -> SensorModel:
+    """Print the same skin as a TacTip: white pin tips on black, without markers, so that contact darkens the image."""
+    return replace(
+        model,
+        pin_length_pitches=1.0,
+        pin_tip_radius_pitches=0.26,
+        pin_base_radius_pitches=0.26,
+        marker_reflectance=model.skin_reflectance,
+        pin_reflectance=model.skin_reflectance,
+        pin_tip_reflectance=0.95,
     )

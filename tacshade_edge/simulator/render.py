@@ -12,79 +12,16 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.simulator.skin import Skin, direction_to_chart
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.prints import FRUSTUM, PinProfile, Print, print_features, tangents
+from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.types import F32, F64, U8, Geometry
 
 _SUPERSAMPLING = 2
 _SHIFT = 4  # fractional bits of drawn coordinates
-_MARKER_CORNERS = 12
 _PIN_CORNERS = 10
 _DRAG_STEPS = 40
 _DRAG_TOLERANCE_MM = 2e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Print:
-    """The printed features of one sensor, on the undeformed skin.
-
-    Attributes
-    ----------
-    marker_chart_mm : float (M, corners, 2)
-        Outlines of the markers in the skin's chart; they are on the skin and deform with it.
-    pin_chart_mm : float (P, 2)
-        Positions of the pins in the skin's chart.
-    pin_base_mm, pin_tip_mm, pin_length_mm : float (P,)
-    """
-
-    marker_chart_mm: F64
-    pin_chart_mm: F64
-    pin_base_mm: F64
-    pin_tip_mm: F64
-    pin_length_mm: F64
-
-
-def print_features(model: SensorModel) -> Print:
-    """Lay the hexagonal lattice on the sphere (equal-area chart) with the model's print tolerances."""
-    rng = np.random.default_rng((model.print_seed, 1))
-    r, p = model.skin_radius_mm, model.pitch_mm
-    reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
-    limit = 2 * r * math.sin(reach / 2)
-    n = math.ceil(limit / (p * 0.86)) + 1
-    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
-    corner = np.stack(((i + 0.5 * j).ravel(), (j * math.sqrt(0.75)).ravel()), axis=1) * p
-    third = np.array((0.5, math.sqrt(1 / 12))) * p  # centre of the triangle right above a lattice point
-    a = math.radians(model.lattice_rotation_deg)
-    turn = np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
-
-    def lay(points: F64) -> F64:
-        points = points @ turn
-        points = points + rng.normal(0.0, model.position_tolerance_mm, points.shape)
-        return np.asarray(points[np.linalg.norm(points, axis=1) < limit])
-
-    def sizes(pitches: float, count: int) -> F64:
-        return pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5)
-
-    pins = lay(corner)
-    # The second triangle of each lattice cell is the first one mirrored in the cell's middle.
-    markers = lay(np.concatenate((corner + third, corner - third)))
-    radius = sizes(model.marker_radius_pitches, len(markers))
-    angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
-    # A regular polygon of the same area as the disc.
-    radius = radius * math.sqrt(2 * math.pi / (_MARKER_CORNERS * math.sin(2 * math.pi / _MARKER_CORNERS)))
-    circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    outline = _equal_area_to_direction(markers, r)
-    east, north = _tangents(outline)
-    ring = outline[:, None, :] * r + radius[:, None, None] * (
-        circle[None, :, :1] * east[:, None, :] + circle[None, :, 1:] * north[:, None, :]
-    )
-    return Print(
-        marker_chart_mm=np.stack(direction_to_chart(ring, r), axis=-1),
-        pin_chart_mm=np.stack(direction_to_chart(_equal_area_to_direction(pins, r), r), axis=-1),
-        pin_base_mm=sizes(model.pin_base_radius_pitches, len(pins)),
-        pin_tip_mm=sizes(model.pin_tip_radius_pitches, len(pins)),
-        pin_length_mm=sizes(model.pin_length_pitches, len(pins)),
-    )
 
 
 def project(geometry: Geometry, points_mm: F64) -> F64:
@@ -98,11 +35,12 @@ def project(geometry: Geometry, points_mm: F64) -> F64:
 
 
 class Renderer:
-    """Draws one sensor's frames; everything that does not depend on the skin is prepared once."""
+    """Draws one sensor's frames, with another print than the model's if one is given."""
 
-    def __init__(self, model: SensorModel) -> None:
+    def __init__(self, model: SensorModel, marks: Print | None = None, profile: PinProfile = FRUSTUM) -> None:
         self.model = model
-        self.print = print_features(model)
+        self.print = print_features(model) if marks is None else marks
+        self._profile = profile
         rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
         rho = np.hypot(rows - model.row_c, cols - model.col_c) / model.disc_radius_px
         self._inside = np.clip((1 - rho) * model.disc_radius_px + 0.5, 0, 1).astype(np.float32)
@@ -143,12 +81,25 @@ class Renderer:
         ))  # fmt: skip
         canvas = np.full(size, ground, np.uint8)
         smooth = _smoothed(skin, float(np.mean(marks.pin_base_mm)))
-        outline = _on_skin(skin, *_carried(smooth, marks.marker_chart_mm, model.friction))
+        outline = _on_skin(skin, *self._carried(smooth, marks.marker_chart_mm, model.friction))
         for polygon in _to_canvas(project(model.geometry, outline)):
             cv2.fillConvexPoly(canvas, polygon, white, cv2.LINE_8, _SHIFT)
-        base, tip = (_to_canvas(project(model.geometry, c)) for c in _pin_corners(skin, smooth, marks, model))
-        for polygon in np.concatenate((base, tip), axis=1):
-            cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), black, cv2.LINE_8, _SHIFT)
+        pins = self._pins_on(skin, smooth)
+
+        def disc(height: float, radius_mm: F64) -> np.typing.NDArray[np.int32]:
+            return _to_canvas(project(model.geometry, pins.disc(height * marks.pin_length_mm, radius_mm)))
+
+        def fill(polygons: np.typing.NDArray[np.int32]) -> None:
+            for polygon in polygons:
+                cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), black, cv2.LINE_8, _SHIFT)
+
+        below = disc(0.0, marks.pin_base_mm)
+        for height, of_base, of_tip in self._profile.rings:
+            ring = disc(height, of_base * marks.pin_base_mm + of_tip * marks.pin_tip_mm)
+            fill(np.concatenate((below, ring), axis=1))
+            below = ring
+        tip = disc(1.0, marks.pin_tip_mm)
+        fill(np.concatenate((below, tip), axis=1))
         if tip_level != black:
             for polygon in tip:
                 cv2.fillConvexPoly(canvas, polygon, tip_level, cv2.LINE_8, _SHIFT)
@@ -156,26 +107,37 @@ class Renderer:
             cv2.resize(canvas, (model.image_width_px, model.image_height_px), interpolation=cv2.INTER_AREA)
         )
 
+    def _pins_on(self, skin: Skin, smooth: Skin) -> _Pins:
+        direction, chart = self._carried(smooth, self.print.pin_chart_mm, self.model.friction)
+        normal = _outward_normals(smooth, chart)
+        lag = np.zeros_like(normal)
+        if skin.origin_mm is not None:
+            lag[:, :2] = self.model.pin_lag * skin.sample_origin(chart[:, 0], chart[:, 1])
+        return _Pins(_on_skin(skin, direction, chart), normal, *tangents(normal), lag)
 
-def _pin_corners(skin: Skin, smooth: Skin, marks: Print, model: SensorModel) -> tuple[F64, F64]:
-    """Corners of the base and the tip of every pin, each (P, corners, 3) in mm."""
-    direction, chart = _carried(smooth, marks.pin_chart_mm, model.friction)
-    base = _on_skin(skin, direction, chart)
-    normal = _outward_normals(smooth, chart)
-    east, north = _tangents(normal)
-    angles = np.arange(_PIN_CORNERS) * (2 * math.pi / _PIN_CORNERS)
-    circle = np.cos(angles)[None, :, None] * east[:, None, :] + np.sin(angles)[None, :, None] * north[:, None, :]
-    tip = base - normal * marks.pin_length_mm[:, None]
-    if skin.origin_mm is not None:
-        dragged = -skin.sample_origin(chart[:, 0], chart[:, 1])
-        tip -= model.pin_lag * np.column_stack((dragged, np.zeros(len(dragged))))
-    return (
-        base[:, None, :] + circle * marks.pin_base_mm[:, None, None],
-        tip[:, None, :] + circle * marks.pin_tip_mm[:, None, None],
-    )
+    def _carried(self, skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
+        return carried(skin, chart_mm, friction)
 
 
-def _carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pins:
+    """Every pin on a skin, each array (P, 3): its base's middle, its axes, and by how much its tip leads in a drag."""
+
+    base_mm: F64
+    normal: F64
+    east: F64
+    north: F64
+    lead_mm: F64
+
+    def disc(self, height_mm: F64, radius_mm: F64) -> F64:
+        """Corners of a disc at a height of every pin, (P, corners, 3)."""
+        angles = np.arange(_PIN_CORNERS) * (2 * math.pi / _PIN_CORNERS)
+        circle = np.cos(angles)[:, None] * self.east[:, None] + np.sin(angles)[:, None] * self.north[:, None]
+        middle = self.base_mm - self.normal * height_mm[:, None] + self.lead_mm * (height_mm > 0)[:, None]
+        return np.asarray(middle[:, None] + circle * radius_mm[:, None, None])
+
+
+def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
     """New directions (..., 3) and chart coordinates (..., 2) of material points that the deformation moves."""
     direction, now = skin.carried_inwards(chart_mm, friction)
     if skin.origin_mm is None:
@@ -214,22 +176,6 @@ def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
     k = (flat.radius_mm * (1 + q) / (flat.radius_mm - flat.sample(x, y)))[:, None]
     normal = direction + k * (h_x[:, None] * e_x + h_y[:, None] * e_y)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def _equal_area_to_direction(points: F64, radius: float) -> F64:
-    """Convert Lambert's equal-area chart to unit vectors; the lattice keeps its density all over the sphere."""
-    x, y = points[..., 0] / radius, points[..., 1] / radius
-    s = x * x + y * y
-    k = np.sqrt(np.maximum(1 - s / 4, 0))
-    return np.stack((x * k, y * k, 1 - s / 2), axis=-1)
-
-
-def _tangents(normal: F64) -> tuple[F64, F64]:
-    """Two unit vectors (P, 3) perpendicular to each unit normal."""
-    helper = np.where(np.abs(normal[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    first = np.cross(normal, helper)
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normal, first)
 
 
 def _to_canvas(points: F64) -> np.typing.NDArray[np.int32]:

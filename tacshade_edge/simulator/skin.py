@@ -157,6 +157,20 @@ def press_skin(
     return replace(free, height_mm=pressed, obstacle_mm=obstacle).leaning(leaning_mm)
 
 
+def left_over(skin: Skin, part: float) -> Skin:
+    """Make the shape that a creeping skin keeps for a while after a release: a weaker dent without the object."""
+    weaker = np.float32(part)
+    return replace(
+        skin,
+        height_mm=skin.height_mm * weaker,
+        obstacle_mm=np.zeros_like(skin.obstacle_mm),
+        leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
+        origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
+        stuck=(),
+        slid_mm=(),
+    )
+
+
 def net_pull(skin: Skin, decay_mm: float) -> F32:
     """The pressure of the skin's nodes, in mm: (4 + m) h minus the sum of the neighbours; 0 on the border."""
     h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm

@@ -28,7 +28,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
@@ -36,7 +36,6 @@ from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
-from tools.testbed.simulator import camera_faults
 from tools.testbed.simulator.variants import released
 
 

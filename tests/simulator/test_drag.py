@@ -12,7 +12,7 @@ from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import _carried
+from tacshade_edge.simulator.render import carried
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin
 from tacshade_edge.simulator.truth import shear_mm
@@ -160,7 +160,7 @@ def test_what_is_drawn_is_what_is_true() -> None:
     skin = dragged(SensorModel(), Press(OBJECTS["cube"](), 2.0, 1.0, 3.0, 20.0, drag_x_mm=2.0, twist_deg=8.0))
     rng = np.random.default_rng(3)
     chart = rng.uniform(-11, 11, (500, 2))
-    direction, now = _carried(skin, chart, 0.9)
+    direction, now = carried(skin, chart, 0.9)
     points = direction * (skin.radius_mm - skin.sample(now[:, 0], now[:, 1]))[:, None]
     before = skin.radius_mm * chart_to_direction(chart[:, 0], chart[:, 1], skin.radius_mm)
     off = np.linalg.norm(shear_mm(skin, points, 0.9) - (points - before)[:, :2], axis=1)

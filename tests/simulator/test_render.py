@@ -5,14 +5,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.model import SensorModel, tactip
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import Renderer, _carried, _on_skin, print_features, project
+from tacshade_edge.simulator.prints import print_features
+from tacshade_edge.simulator.render import Renderer, _on_skin, carried, project
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin, undeformed
 from tacshade_edge.types import F32
-from tools.testbed.simulator.tactip import tactip
 
 MODEL = replace(SensorModel(), specular_spots=0, read_noise_grey=0.0, shot_noise_grey=0.0)
 
@@ -168,7 +168,7 @@ def test_friction_carries_the_skin_along_z() -> None:
     press = (Press(OBJECTS["plate"](), 0.0, 0.0, 3.0),)
     skin, chart, at = press_skin(20.0, 2.2, press), np.array([[5.0, 0.0]]), {}
     for friction in (0.0, 1.0):
-        direction, moved = _carried(skin, chart, friction)
+        direction, moved = carried(skin, chart, friction)
         at[friction] = _on_skin(skin, direction, moved)[0]
     x = 20.0 * 5.0 / 20.0 / (1 + (5.0 / 20.0) ** 2 / 4)
     assert at[1.0] == pytest.approx((x, 0.0, 17.0), abs=0.06)  # displaced to first order in h

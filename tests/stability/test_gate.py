@@ -15,10 +15,9 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
-from tools.testbed.simulator import camera_faults
 
 MODELS = {"full": FULL, "half": HALF, "tactip": TACTIP}
 FRAMES = {"full": 10, "half": 40, "tactip": 40}

@@ -15,13 +15,12 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
-from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
-from tools.testbed.simulator.tactip import tactip
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.

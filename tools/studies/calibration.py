@@ -40,7 +40,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import ball
@@ -49,7 +49,6 @@ from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
 from tools.studies import command
-from tools.testbed.simulator import camera_faults
 
 REFERENCES, PRESSES = 5, 24
 

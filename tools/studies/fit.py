@@ -3,12 +3,13 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.fit [--cases other:31,other:31/balls] [--folder FOLDER] [--threads 2]
+    .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER] [--threads 2]
 
-The presses are of balls of three sizes, flat ends of two, a square and a lying bar, or of the balls alone, 0.6 to
-4.5 mm deep; the stated presses are off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each
-case runs in its own process. With a folder, the study keeps each case's results there and does not measure the case
-again until the program changes.
+A case is a sensor fitted to references and presses, with ``/none`` to references alone. The presses are of balls of
+three sizes, flat ends of two, a square and a lying bar, or of the balls alone (``/balls``), 0.6 to 4.5 mm deep; the
+stated presses are off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each case runs in its own
+process. With a folder, the study keeps each case's results there and does not measure the case again until the program
+changes.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ from tools.testbed.simulator.families import sensor_name
 from tools.testbed.stated_press import stated_press
 
 CASES = (
-    "default,5,11,12,21,50,51,52,other:31,other:32,other:33,other:34,other:35,other:36,capped:41,two-scales:44,"
-    "other:31/balls,other:33/balls"
+    "5/none,11/none,21/none,other:31/none,other:32/none,other:33/none,"
+    "5,11/balls,21/balls,other:31,other:32/balls,other:33/balls"
 )
 PRESSES = 40
 REFERENCES = 5
@@ -208,7 +209,7 @@ def measured(case: str, threads: int) -> dict[str, object]:
     text, _, presses = case.partition("/")
     name = sensor_name(text)
     sensor = name.make()
-    result = calibrated(sensor, pressed(sensor, name.seed or 0, presses == "balls"))
+    result = calibrated(sensor, [] if presses == "none" else pressed(sensor, name.seed or 0, presses == "balls"))
     began_s = time.monotonic()
     fitted = fit(result.calibration, result.presses, lambda _: None)
     fit_s = time.monotonic() - began_s
@@ -217,7 +218,7 @@ def measured(case: str, threads: int) -> dict[str, object]:
     return {
         "fit_s": fit_s,
         "memory_mb": memory_mb,
-        "reports": {report.profile: report.kept for report in fitted.profiles},
+        "reports": {report.name: report.kept for report in fitted.networks},
         "cost": cost(sensor, calibrations),
         "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
     }
@@ -317,7 +318,7 @@ def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list
 def main() -> None:
     """Fit and judge every case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", default=CASES, help="a sensor, or a sensor and /balls for presses of balls alone")
+    parser.add_argument("--cases", default=CASES, help="sensors, with /balls for balls alone or /none for no presses")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     parser.add_argument("--threads", type=int, default=2, help="of PyTorch")
     args = parser.parse_args()

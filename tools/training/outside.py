@@ -13,15 +13,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.objects import Shape
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import Print, print_features
+from tacshade_edge.fitting.twin import on_dome
+from tacshade_edge.simulator.model import SensorModel, random_model, tactip
+from tacshade_edge.simulator.prints import PinProfile, Print, lattice_print, print_features
+from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import chart_to_direction
 from tacshade_edge.types import F64, U8
-from tools.testbed.simulator.tactip import tactip
-from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
-from tools.training.shapes import random_shape
 from tools.training.varied import pin_outline, varied_print
 
 VIEWS = 3
@@ -60,13 +57,6 @@ def soft_dome(seed: int) -> SensorModel:
         bulge=draw(0.0, 1.0) if rng.random() < 0.6 else 0.0,
         pin_lag=draw(0.0, 0.4),
     )
-
-
-def on_dome(model: SensorModel, dome: SensorModel) -> SensorModel:
-    """Give a sensor the mechanics of another sensor's skin."""
-    return replace(model, **{name: getattr(dome, name) for name in (
-        "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
-    )})  # fmt: skip
 
 
 def printed(dome: SensorModel, seed: int) -> SensorModel:
@@ -108,7 +98,7 @@ def printed(dome: SensorModel, seed: int) -> SensorModel:
     )
 
 
-class OutsideRenderer(VariedRenderer):
+class OutsideRenderer(Renderer):
     """Draws a print that may end before the rim, perhaps under a ring of LEDs that the camera sees."""
 
     def __init__(self, model: SensorModel, rng: np.random.Generator) -> None:
@@ -138,37 +128,6 @@ def camera(rng: np.random.Generator) -> Camera:
         return np.asarray(white if image.ndim == 2 else cv2.merge((white, white, white)), np.uint8)
 
     return adaptive
-
-
-def outside_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """Draw a plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees; or a random object."""
-    scale = model.skin_radius_mm / 20
-    reach = 0.8 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
-    target = float(rng.uniform(0.2, 6.5)) * scale
-    if rng.random() < PLATE_PART:
-        return (Press(_plate(rng, reach), 0.0, 0.0, target, float(rng.uniform(0, 360))),)
-    rho, angle = reach * rng.uniform() ** 0.6, rng.uniform(0, 2 * math.pi)
-    size = float(rng.uniform(0.8, 2.0))
-    x, y = rho * math.cos(angle), rho * math.sin(angle)
-    return (Press(random_shape(rng), x, y, target, float(rng.uniform(0, 360)), size),)
-
-
-def _plate(rng: np.random.Generator, reach: float) -> Shape:
-    """Draw a plate: everything above a tilted plane, cut off along up to two lines."""
-    tilt = math.radians(25.0) * math.sqrt(rng.uniform())
-    normal = np.array((math.sin(tilt), 0.0, math.cos(tilt)))
-    cuts: list[tuple[float, float, float]] = []
-    for _ in range(int(rng.choice((0, 1, 2), p=(0.6, 0.3, 0.1)))):
-        angle, far = rng.uniform(0, 2 * math.pi), float(rng.uniform(-0.5, 0.8)) * reach
-        cuts.append((math.cos(angle), math.sin(angle), max(far, 1.0) if cuts else far))
-
-    def sdf(p: F64) -> F64:
-        distance = -(p @ normal.astype(p.dtype))
-        for c, s, far in cuts:
-            distance = np.maximum(distance, c * p[:, 0] + s * p[:, 1] - far)
-        return np.asarray(distance)
-
-    return Shape("plate", sdf)
 
 
 def _any_print(model: SensorModel, rng: np.random.Generator) -> Print:

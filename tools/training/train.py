@@ -31,13 +31,14 @@ from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from tacshade_edge.fitting.loss import LOSSES
+from tacshade_edge.fitting.torn import spoil
 from tools.training.data import Data, batch, joined, load, shards_in
+from tools.training.figures import FIGURES, halved
 from tools.training.kinds import KINDS, SHARES
 from tools.training.looks import other_looks
-from tools.training.loss import FIGURES, LOSSES, halved
 from tools.training.network import NETS, Net, ShearNet, averaged, like, make
 from tools.training.shipped import shipped
-from tools.training.torn import spoil
 
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 4

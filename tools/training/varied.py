@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from scipy.spatial import Delaunay
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.render import Print
-from tacshade_edge.simulator.skin import Skin
+from tacshade_edge.simulator.prints import PinProfile, Print, print_at, reach_mm
 from tacshade_edge.types import F64
-from tools.testbed.simulator.varied_print import PinProfile, print_at, reach_mm
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
@@ -81,15 +78,6 @@ def pin_outline(rng: np.random.Generator) -> PinProfile:
         else:
             rings.append((float(height), part * float(1 - height), part * float(height)))
     return PinProfile(tuple(rings))
-
-
-def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
-    """Spread the skirt: blur part of h over some mm, because a soft depth pulls its surroundings down."""
-    if part == 0 or not skin.height_mm.any():
-        return skin
-    spread = cv2.GaussianBlur(skin.height_mm, (0, 0), reach_mm / skin.step_mm, borderType=cv2.BORDER_CONSTANT)
-    height = np.maximum((1 - part) * skin.height_mm + part * spread, skin.obstacle_mm)
-    return replace(skin, height_mm=np.asarray(height, np.float32))
 
 
 def _between(pins: F64, halves: bool) -> F64:

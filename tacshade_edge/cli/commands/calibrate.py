@@ -8,7 +8,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="also train the networks on the presses; training takes minutes and needs the `fit` extra",
+        help="also train the networks on simulated frames of this sensor; takes minutes and needs the `fit` extra",
     )
     parser.add_argument(
         "--labels",
@@ -100,8 +100,6 @@ def run(args: argparse.Namespace) -> int:
         return _rezero(args)
     if args.depth_from_touch and not args.presses:
         args.usage_error("--depth-from-touch has no effect without --presses")
-    if args.fit and not args.presses:
-        args.usage_error("--fit has no effect without --presses")
     fit = _fit() if args.fit else None
     sensor = read_sensor(args.sensor)
     references = _read_references(args.reference)
@@ -121,7 +119,8 @@ def run(args: argparse.Namespace) -> int:
         )
     except ConfigError as error:
         raise ConfigError(_by_path(str(error), args)) from None
-    fitted = fit(result.calibration, result.presses, _say) if fit else None
+    folder = args.out.with_name(f"{args.out.name}.fit")
+    fitted = fit(result.calibration, result.presses, _say, sensor.print_mm, folder) if fit else None
     calibration = fitted.calibration if fitted else result.calibration
     touch = learn_from_labels(calibration, args.labels, labelled) if labelled else ()
     learnt = {one.profile: one.learnt.model for one in touch if one.learnt.model is not None}
@@ -137,8 +136,8 @@ def run(args: argparse.Namespace) -> int:
         for line in (line for one in touch for line in report_lines(one)):
             print(line)
         print(f"{'as shipped, ' if fitted else ''}{result.quality.line}")
-        for report in fitted.profiles if fitted else ():
-            print(report.line)
+        for line in (*fitted.found, *(report.line for report in fitted.networks)) if fitted else ():
+            print(line)
         for advice in (*(fitted.advice if fitted else ()), *result.quality.advice):
             print(f"  to do: {advice}")
     return 0
@@ -170,10 +169,10 @@ def _fitted(fitted: FitResult | None) -> dict[str, Any]:
     if fitted is None:
         return {}
     reports = {
-        report.profile: {"kept": report.kept, "shipped_mm": report.shipped_mm, "fitted_mm": report.fitted_mm}
-        for report in fitted.profiles
+        report.name: {key: value for key, value in asdict(report).items() if key != "name"} | {"kept": report.kept}
+        for report in fitted.networks
     }
-    return {"fitted": reports, "fit_to_do": list(fitted.advice)}
+    return {"fitted": reports, "fit_found": list(fitted.found), "fit_to_do": list(fitted.advice)}
 
 
 def _by_path(text: str, args: argparse.Namespace) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
@@ -12,7 +13,8 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 class Sensor:
     """The user's description of a sensor (SENSOR.yaml).
 
-    `visible_circle` and `binarisation` override what the references show; if None, `calibrate` finds them there.
+    `visible_circle` and `binarisation` override what the references show; if None, `calibrate` finds them there. So do
+    the sizes of the print in `print_mm`, by their keys in SENSOR.yaml, for ``--fit``.
     """
 
     skin_radius_mm: float
@@ -23,6 +25,7 @@ class Sensor:
     binarisation: Binarisation | None = None
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     visible_circle: Disc | None = None
+    print_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

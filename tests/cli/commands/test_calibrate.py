@@ -287,28 +287,28 @@ def test_a_fit_without_pytorch_names_the_extra(
     assert not (tmp_path / "cal.npz").exists()
 
 
-@pytest.mark.parametrize("kind", ["--rezero", "--sensor"])
-def test_a_fit_is_of_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+def test_a_new_reference_cannot_be_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["calibrate", kind, "x", "--reference", "r.png", "--fit", "--out", str(tmp_path / "cal.npz")])
+        main(["calibrate", "--rezero", "x", "--reference", "r.png", "--fit", "--out", str(tmp_path / "cal.npz")])
     assert "--fit has no effect with" in capsys.readouterr().err
 
 
 @pytest.mark.fit
+@pytest.mark.slow
 def test_a_fit_goes_into_the_file(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
-    from tacshade_edge.fitting import training
+    from tacshade_edge.fitting import fit
 
-    monkeypatch.setattr(training, "STEPS", 20)
+    monkeypatch.setattr(fit, "FULL", fit.Effort(domes=2, held_out=1, skins=2, views=1, steps=2))
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--fit", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert list(report["fitted"]) == ["balanced", "accurate", "fast"]
+    assert list(report["fitted"]) == ["balanced", "accurate", "fast", "shear"]
     kept = {name for name, each in report["fitted"].items() if each["kept"]}
     assert set(calibration_file.load(out).fitted) == kept
-    assert report["fit_to_do"]
+    assert "found a print of dark pins" in report["fit_found"][0]
 
 
 def test_a_reference_is_named_by_its_file(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

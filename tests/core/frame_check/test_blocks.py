@@ -10,10 +10,9 @@ from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check.blocks import ROUNDED, block_check, block_means, block_reasons
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
-from tools.testbed.simulator import camera_faults
 
 
 @given(grey=hnp.arrays(np.uint8, (16, 24)), rounded=st.integers(0, ROUNDED))

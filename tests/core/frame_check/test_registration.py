@@ -18,10 +18,9 @@ from tacshade_edge.core.frame_check.registration import (
 )
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.types import U8, Disc
-from tools.testbed.simulator import camera_faults
 
 DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)
 

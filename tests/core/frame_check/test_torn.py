@@ -5,8 +5,8 @@ import pytest
 
 from tacshade_edge.core.frame_check.torn import tear_check, torn_row
 from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import Disc
-from tools.testbed.simulator import camera_faults
 
 MASK = disc_mask(100, 120, Disc(50.0, 60.0, 40.0))
 # A tear by half a stripe changes every pixel of a row, and nothing else differs from row to row but the noise.

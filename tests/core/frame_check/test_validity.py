@@ -26,14 +26,13 @@ from tacshade_edge.core.frame_check.validity import FrameCheck, frame_check, inv
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.types import U8, Bool, Disc
-from tools.testbed.simulator import camera_faults
 
 
 def check_of(model: SensorModel) -> FrameCheck:

@@ -9,8 +9,8 @@ from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.glare import GLARE_LIFT, GLARE_PX, glare_check, glare_mask
 from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import U8
-from tools.testbed.simulator import camera_faults
 
 
 def masks() -> tuple[U8, U8]:

@@ -35,8 +35,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import tactip
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.simulator.tactip import tactip
 
 
 def grey_noise(rows: int, cols: int) -> U8:

@@ -10,8 +10,8 @@ from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.image.median import median
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import F32
-from tools.testbed.simulator import camera_faults
 
 CHANGE = np.float32(60)
 

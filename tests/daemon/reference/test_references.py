@@ -13,10 +13,9 @@ from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.reference.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame
-from tools.testbed.simulator import camera_faults
 
 FPS = 10
 

@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import PressedSensor
 from tacshade_edge.types import U8
-from tools.testbed.simulator import camera_faults
 from tools.testbed.simulator.variants import released
 
 Rng = np.random.Generator

@@ -120,7 +120,7 @@ def calibrated(range_name: str, sensor: int, presses: Sequence[KnownPress] = (),
     from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
 
     made = fit(result.calibration, result.presses, lambda _: None)
-    for report in made.profiles:
+    for report in made.networks:
         print(f"sensor {sensor}: {report.line}", file=sys.stderr)
     return made.calibration
 

@@ -10,10 +10,11 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.prints import PinProfile, lattice_print
+from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
 from tacshade_edge.types import F64
-from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 TOUCHING_MM = 0.06
 """Skin nearer to the object than this counts as touching, because it lies this far off between touching mesh points."""
@@ -51,7 +52,7 @@ def seen_truth(skin: Skin, presses: Sequence[Press], model: SensorModel) -> Trut
     return replace(truth, contact=contact, points_mm=points[touching].astype(np.float32))
 
 
-def renderer(model: SensorModel, seed: int) -> VariedRenderer:
+def renderer(model: SensorModel, seed: int) -> Renderer:
     """Draw a print: on the hexagonal or another lattice, with frusta, caps or pins with a waist."""
     rng = np.random.default_rng((seed, 43))
     marks = None if rng.random() < 0.5 else lattice_print(model, float(rng.uniform(60, 90)))
@@ -59,4 +60,4 @@ def renderer(model: SensorModel, seed: int) -> VariedRenderer:
     profile = (PinProfile(()), PinProfile(((1.0, 0.7, 0.0),)), PinProfile.waist(0.5, float(rng.uniform(0.7, 0.9))))[
         kind
     ]
-    return VariedRenderer(model, marks, profile)
+    return Renderer(model, marks, profile)

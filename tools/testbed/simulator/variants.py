@@ -10,8 +10,8 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor, skin_under
+from tacshade_edge.simulator.skin import left_over
 from tacshade_edge.studies.evaluate.sensors import PressedSensor
-from tools.testbed.simulator.left_over import left_over
 from tools.testbed.simulator.other_family import OtherSensor
 
 

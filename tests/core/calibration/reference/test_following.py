@@ -27,12 +27,11 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Calibration, Frame
-from tools.testbed.simulator import camera_faults
 
 pytestmark = pytest.mark.slow
 

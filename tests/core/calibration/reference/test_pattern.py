@@ -12,7 +12,8 @@ from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_p
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.render import print_features, project
+from tacshade_edge.simulator.prints import print_features
+from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.skin import chart_to_direction
 from tacshade_edge.types import U8
 from tools.testbed.simulator.families import sensor_name

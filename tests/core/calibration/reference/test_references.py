@@ -18,11 +18,10 @@ from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Frame
-from tools.testbed.simulator import camera_faults
 
 SENSOR = sensor_of(HALF)
 

@@ -1,16 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses
+from support.calibrated_sensor import HALF, calibrated
 
 from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma, press_q
-from tacshade_edge.core.calibration.refit.press_targets import fitted_error_scale, press_targets
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.inference.network import load_network
 
 FLAT = SigmaModel((0.0,) * 5, 3.0, 0.0, 1.0)
 """1 mm everywhere on a skin of 20 mm, and q is the scale."""
@@ -42,18 +37,3 @@ def test_errors_are_those_of_the_known_cells() -> None:
     logits = np.zeros((112, 112), np.float32), np.full((28, 28), -9, np.float32)
     found = errors_in_sigma(FLAT, height, true, *logits, known, geometry)
     np.testing.assert_allclose(found, np.array([0.5, 1.0]) / size_mm, rtol=1e-6)
-
-
-def test_the_shipped_network_has_the_scale_that_its_refit_finds() -> None:
-    """But for the factor, which the refit takes from the other presses."""
-    network = load_network("fast")
-    targets = press_targets(calibrated(), PROFILES["fast"], network, presses())
-    found = fitted_error_scale(targets, network, targets.sensors[0], calibrated().geometry)
-    assert found is not None
-    assert 0.6 < found / calibrated().error_scales["fast"] < 2.0
-
-
-def test_a_network_whose_errors_were_not_measured_has_none() -> None:
-    network = replace(load_network("fast"), sigma=None)
-    targets = press_targets(calibrated(), PROFILES["fast"], network, presses()[:3])
-    assert fitted_error_scale(targets, network, targets.sensors[0], calibrated().geometry) is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -40,11 +42,16 @@ def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220
 
 def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.0) -> U8:
     """Add a dark spot with a soft edge, like a grain of dust on the camera or a missing marker."""
-    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
+    reach = math.ceil(radius_px) + 2
+    top, left = max(int(row) - reach, 0), max(int(col) - reach, 0)
+    made = image.copy()
+    part = made[top : max(int(row) + reach, 0), left : max(int(col) + reach, 0)]
+    rows, cols = np.ogrid[top : top + part.shape[0], left : left + part.shape[1]]
     cover = np.clip(radius_px + 0.5 - np.hypot(rows - row, cols - col), 0, 1)
     if image.ndim == 3:
         cover = cover[..., None]
-    return np.asarray(np.clip(image * (1 - cover) + grey * cover + 0.5, 0, 255), np.uint8)
+    part[...] = np.clip(part * (1 - cover) + grey * cover + 0.5, 0, 255)
+    return made
 
 
 def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:

@@ -1,0 +1,467 @@
+"""Find the print of a sensor in its reference: where its pins are, how long and how thick they are, its markers.
+
+The pins in the middle show the lattice, and white tips show themselves one by one. Lengths, radii and the lattice are
+then fitted to the white of the cells as the networks receive it (Levenberg and Marquardt). Pins near the rim are seen
+from the side, so how far a tip lies from its base gives the length, which statistics of the picture cannot tell from
+the radius of the base.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.disc import Window, disc_mask
+from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.integral_image import CellMeans, Integrator
+from tacshade_edge.fitting import compiled
+from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
+from tacshade_edge.simulator.prints import CAP, FRUSTUM, PinProfile, Print, equal_area_to_direction, print_at
+from tacshade_edge.simulator.render import Renderer, project
+from tacshade_edge.simulator.skin import Skin, undeformed
+from tacshade_edge.types import F32, F64, U8, Calibration, Geometry
+
+PARAMETERS = ("pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches")
+DEVIATIONS = np.array((0.10, 0.015, 0.02, 0.02))
+WHITE_TIP_DEVIATIONS = np.array((0.35, 0.015, 0.03, 0.02))
+"""Standard deviations of `PARAMETERS` by which a fit is off besides its own doubt. Only the size of their tips shows
+how long white pins are."""
+LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
+STEPS = np.array((0.06, 0.012, 0.012, 0.015))
+NOMINAL_PITCHES = 1.6
+"""Length of pins with which tips are placed on a chart."""
+SHARPER = (1.0, 0.5, 0.0)
+"""Smoothing of the white in the steps of a fit, in cells: a smooth map has one minimum, a sharp one the best."""
+ALIKE_CELLS = 10
+"""Neighbouring cells err alike: this many count as one in the covariance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A way to make a print: white tips, or dark pins beside markers in the lattice's triangles or cells."""
+
+    white_tips: bool
+    marker_parts: tuple[tuple[float, float], ...]
+    profile: PinProfile
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        what = "white tips" if self.white_tips else f"dark pins, {len(self.marker_parts)} markers a cell"
+        return what + (", caps" if self.profile.rings else "")
+
+
+TRIANGLES, CELLS = ((1 / 3, 1 / 3), (2 / 3, 2 / 3)), ((0.5, 0.5),)
+KINDS = (
+    Kind(False, TRIANGLES, FRUSTUM),
+    Kind(False, CELLS, FRUSTUM),
+    Kind(False, TRIANGLES, CAP),
+    Kind(False, CELLS, CAP),
+    Kind(True, (), FRUSTUM),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tips:
+    """Pins where their tips appear in the image, col and row, one by one."""
+
+    px: F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Tips of pins on a lattice of the equal-area chart, in mm: its origin, its steps, its widening to the rim.
+
+    The tips are those of pins `NOMINAL_PITCHES` long: where tips appear is known well, and so does not depend on the
+    length that is fitted.
+    """
+
+    values: F64
+
+    def points(self, radius_mm: float, limit_mm: float, parts: Sequence[tuple[float, float]]) -> F64:
+        """The points of the lattice, shifted by parts of its steps, within a limit."""
+        o, a, b, k = self.values[0:2], self.values[2:4], self.values[4:6], self.values[6]
+        n = math.ceil(1.5 * limit_mm / min(np.linalg.norm(a), np.linalg.norm(b))) + 2
+        i, j = (each.ravel() for each in np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
+        flat = np.concatenate([o + (i + u)[:, None] * a + (j + v)[:, None] * b for u, v in parts])
+        points = flat * (1 + k * (flat * flat).sum(axis=1, keepdims=True) / radius_mm**2)
+        return np.asarray(points[np.linalg.norm(points, axis=1) < limit_mm])
+
+
+Layout = Tips | Lattice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """A print that was fitted to a reference.
+
+    Attributes
+    ----------
+    kind : Kind
+    values : float64 (P,)
+        `PARAMETERS`, then the lattice's values if there is one.
+    covariance : float64 (P, P)
+    residual : float
+        RMS of the white that the print does not explain, over that of the reference's white.
+    """
+
+    kind: Kind
+    values: F64
+    covariance: F64
+    residual: float
+    tips: Tips | None
+    base: SensorModel
+    light: F32
+
+    def at(self, values: F64) -> tuple[SensorModel, Layout]:
+        """The sensor with these values, and where its pins are."""
+        return with_print(self.base, self.kind, values[:4]), self.tips or Lattice(values[4:])
+
+    def cloud(self) -> F64:
+        """Covariance of the values that the reference leaves possible, (P, P): the fit's, and errors of the model."""
+        model = np.zeros(len(self.values))
+        model[:4] = WHITE_TIP_DEVIATIONS if self.kind.white_tips else DEVIATIONS
+        return np.asarray(4 * self.covariance + np.diag(model**2))
+
+
+def sphere_points(geometry: Geometry, col_row: F64, radius_mm: float) -> F64:
+    """Where the rays of image points meet a sphere around O, (N, 3) in mm (the farther root)."""
+    disc = geometry.disc
+    x, y = col_row[:, 0] - disc.col_c, col_row[:, 1] - disc.row_c
+    if geometry.camera_distance_mm is None:
+        u, v = x * geometry.mm_per_px, y * geometry.mm_per_px
+        return np.stack((u, v, np.sqrt(np.maximum(radius_mm**2 - u * u - v * v, 1e-6))), axis=1)
+    d, a, b = geometry.camera_distance_mm, x / geometry.f_px, y / geometry.f_px
+    k = 1 + a * a + b * b
+    s = (d + np.sqrt(np.maximum(d * d - k * (d * d - radius_mm**2), 1e-6))) / k
+    return np.stack((a * s, b * s, s - d), axis=1)
+
+
+def equal_area(points: F64, radius_mm: float) -> F64:
+    """Points (N, 3) in Lambert's equal-area chart of a sphere, in mm."""
+    d = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return np.asarray(d[:, :2] * np.sqrt(2 / (1 + d[:, 2]))[:, None] * radius_mm)
+
+
+def pitch_mm_of(calibration: Calibration) -> float:
+    """Pitch on the skin at the tip."""
+    geometry = calibration.geometry
+    if geometry.camera_distance_mm is None:
+        return calibration.pitch_px * geometry.mm_per_px
+    return calibration.pitch_px * (geometry.skin_radius_mm + geometry.camera_distance_mm) / geometry.f_px
+
+
+def find_tips(calibration: Calibration, white_tips: bool, length_pitches: float) -> F64:
+    """Image points (N, 2), col and row, of blobs that are about a pitch apart."""
+    geometry, disc = calibration.geometry, calibration.geometry.disc
+    pitch_mm = pitch_mm_of(calibration)
+    radius_mm, px_mm = geometry.skin_radius_mm - length_pitches * pitch_mm, pitch_mm / 12
+    limit = 2 * radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg) / 2)
+    n = int(limit / px_mm)
+    axis = np.arange(-n, n + 1) * px_mm
+    chart = np.stack([each.ravel() for each in np.meshgrid(axis, axis)], axis=1)
+    chart *= np.minimum(1, 1.3 * limit / np.maximum(np.linalg.norm(chart, axis=1, keepdims=True), 1e-9))
+    at = project(geometry, equal_area_to_direction(chart, radius_mm) * radius_mm).astype(np.float32)
+    cols, rows = (np.ascontiguousarray(at[:, k].reshape(2 * n + 1, 2 * n + 1)) for k in (0, 1))
+    grey = calibration.reference_grey.astype(np.float32)
+    mask = disc_mask(grey.shape[0], grey.shape[1], disc).astype(np.float32)
+    sigma = 1.2 * calibration.pitch_px
+    local = cv2.GaussianBlur(grey * mask, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3)
+    seen = cv2.remap((grey - local) * mask, cols, rows, cv2.INTER_LINEAR)
+    inside = cv2.remap(mask, cols, rows, cv2.INTER_LINEAR) > 0.99
+    blob = cv2.GaussianBlur(seen if white_tips else -seen, (0, 0), 0.22 * 12)
+    top = cv2.dilate(blob, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (13, 13)))
+    peak = (blob >= top) & inside & (blob > 0.25 * np.percentile(blob[inside], 97))
+    peak[[0, -1]] = False
+    peak[:, [0, -1]] = False
+    i, j = np.nonzero(peak)
+    if not len(i):
+        return np.zeros((0, 2))
+    found = np.stack(
+        (
+            j + _vertex(blob[i, j - 1], blob[i, j], blob[i, j + 1]),
+            i + _vertex(blob[i - 1, j], blob[i, j], blob[i + 1, j]),
+        ),
+        axis=1,
+    )
+    points = (found - n) * px_mm
+    return project(geometry, equal_area_to_direction(points, radius_mm) * radius_mm)
+
+
+def _vertex(before: F32, at: F32, after: F32) -> F64:
+    """Offset of a parabola's vertex."""
+    curve = np.minimum(before - 2 * at + after, -1e-6)
+    return np.asarray(np.clip(0.5 * (before - after) / curve, -0.5, 0.5), np.float64)
+
+
+def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) -> Lattice | None:
+    """The lattice on which the pins in the middle of the disc stand; None if they stand on none."""
+    geometry, pitch = calibration.geometry, pitch_mm_of(calibration)
+    r = geometry.skin_radius_mm
+    chart = equal_area(sphere_points(geometry, tips_px, r - length_pitches * pitch), r)
+    reach = 2 * r * math.sin(math.radians(geometry.visible_half_angle_deg) / 2)
+    chart = chart[np.linalg.norm(chart, axis=1) < 0.62 * reach]
+    if len(chart) < 12:
+        return None
+    tree = cKDTree(chart)
+    steps = np.concatenate([chart[tree.query_ball_point(p, 1.9 * pitch)] - p for p in chart])
+    steps = steps[np.linalg.norm(steps, axis=1) > 0.4 * pitch]
+    if len(steps) < 24:
+        return None
+    # The places where differences are densest, the shortest first.
+    support = np.array([len(q) for q in cKDTree(steps).query_ball_point(steps, 0.16 * pitch)])
+    strong = steps[support > 0.45 * support.max()]
+    strong = strong[np.argsort(np.linalg.norm(strong, axis=1))]
+    a = _centre(steps, strong[0], 0.2 * pitch)
+    across = np.abs(a[0] * strong[:, 1] - a[1] * strong[:, 0]) / np.linalg.norm(a) / np.linalg.norm(strong, axis=1)
+    if not (across > 0.7).any():
+        return None
+    b = _centre(steps, strong[np.argmax(across > 0.7)], 0.2 * pitch)
+    b = b if a @ b >= 0 else -b
+    first = int(np.argmin(np.linalg.norm(chart, axis=1)))
+    index, queue = {first: (0, 0)}, [first]
+    while queue:
+        k = queue.pop(0)
+        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            far, q = tree.query(chart[k] + di * a + dj * b)
+            if far < 0.28 * pitch and int(q) not in index:
+                index[int(q)] = (index[k][0] + di, index[k][1] + dj)
+                queue.append(int(q))
+    if len(index) < 10:
+        return None
+    columns = np.column_stack((np.ones(len(index)), np.array(list(index.values()), float)))
+    coefficients = np.linalg.lstsq(columns, chart[list(index)], rcond=None)[0]
+    return Lattice(np.append(coefficients.ravel(), 0.0))
+
+
+def _centre(steps: F64, at: F64, within: float) -> F64:
+    for _ in range(4):
+        at = steps[np.linalg.norm(steps - at, axis=1) < within].mean(axis=0)
+    return at
+
+
+def seen_light(calibration: Calibration) -> tuple[F32, float]:
+    """Grey level of white features over the image, float32 (H, W), and that of dark ones as a part of it."""
+    grey, disc = calibration.reference_grey, calibration.geometry.disc
+    mask = disc_mask(grey.shape[0], grey.shape[1], disc)
+    side = 2 * round(0.7 * calibration.pitch_px) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    fine = cv2.GaussianBlur(np.where(mask, grey, np.uint8(0)), (0, 0), 1.0)
+    white = cv2.dilate(fine, kernel).astype(np.float32)
+    dark = cv2.erode(np.where(mask, grey, np.uint8(255)), kernel).astype(np.float32)
+    weight = mask.astype(np.float32)
+    sigma = 1.5 * calibration.pitch_px
+    white = cv2.GaussianBlur(white * weight, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
+    middle = (
+        np.hypot(*(np.indices(grey.shape) - np.array((disc.row_c, disc.col_c))[:, None, None])) < 0.8 * disc.radius_px
+    )
+    return np.maximum(white, 1).astype(np.float32), float(np.median(dark[middle] / np.maximum(white[middle], 1)))
+
+
+def base_model(calibration: Calibration) -> SensorModel:
+    """A sensor with the calibrated geometry; its print comes later."""
+    geometry, disc = calibration.geometry, calibration.geometry.disc
+    return replace(
+        SensorModel(),
+        skin_radius_mm=geometry.skin_radius_mm,
+        camera_distance_mm=geometry.camera_distance_mm,
+        visible_half_angle_deg=min(geometry.visible_half_angle_deg, MAX_VISIBLE_HALF_ANGLE_DEG),
+        image_height_px=calibration.image_height_px,
+        image_width_px=calibration.image_width_px,
+        row_c=disc.row_c,
+        col_c=disc.col_c,
+        disc_radius_px=disc.radius_px,
+        pitch_mm=pitch_mm_of(calibration),
+        colour_bgr=(1.0, 1.0, 1.0),
+        specular_spots=0,
+        surround="dark",
+        position_tolerance_mm=0.0,
+        size_tolerance=0.0,
+        blur_px=max(0.7, calibration.geometry.disc.radius_px / 300),
+    )
+
+
+def with_print(model: SensorModel, kind: Kind, values: F64) -> SensorModel:
+    """The sensor with these `PARAMETERS`."""
+    sizes: dict[str, Any] = dict(zip(PARAMETERS, map(float, values), strict=True))
+    model = replace(model, **sizes)
+    if kind.white_tips:
+        return replace(model, skin_reflectance=0.1, marker_reflectance=0.1, pin_reflectance=0.09, pin_tip_reflectance=1)
+    return replace(model, marker_reflectance=1, pin_tip_reflectance=model.pin_reflectance)
+
+
+def print_of(model: SensorModel, kind: Kind, layout: Layout) -> Print:
+    """The print with the model's pins and markers in these places."""
+    r = model.skin_radius_mm
+    if isinstance(layout, Tips):
+        at = sphere_points(model.geometry, layout.px, r - model.pin_length_pitches * model.pitch_mm)
+        return print_at(model, equal_area(at, r), np.zeros((0, 2)))
+    nominal, actual = (r - length * model.pitch_mm for length in (NOMINAL_PITCHES, model.pin_length_pitches))
+    limit = 2 * r * math.sin(math.radians(model.visible_half_angle_deg + 6) / 2)
+
+    def under_tips(parts: Sequence[tuple[float, float]]) -> F64:
+        tips = equal_area_to_direction(layout.points(r, 1.05 * limit, parts), r) * nominal
+        return equal_area(sphere_points(model.geometry, project(model.geometry, tips), actual), r)
+
+    return print_at(model, under_tips(((0.0, 0.0),)), under_tips(kind.marker_parts))
+
+
+class WhiteMap:
+    """The white of the cells of a sensor's pictures."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        disc = calibration.geometry.disc
+        self._calibration = calibration
+        self._mask = disc_mask(calibration.image_height_px, calibration.image_width_px, disc).astype(np.uint8)
+        self._integrator = Integrator(Window(0, 0, *self._mask.shape), 0)
+        self._cells = CellMeans(self._integrator, disc_map.map_grid(disc))
+        axis = (np.arange(disc_map.CELLS) + 0.5 - disc_map.CELLS / 2) * (2 * disc_map.REACH / disc_map.CELLS)
+        self.inside = np.hypot(axis[:, None], axis[None, :]) < 0.93
+
+    def of(self, grey: U8) -> F32:
+        """White of a picture, float32 (cells, cells), 0 to 1."""
+        c = self._calibration
+        return self._cells.means(self._integrator.integrate(binarise(grey, self._mask, c.binarisation, c.pitch_px)))
+
+    def reference(self) -> F32:
+        """White of the reference."""
+        return self._cells.means(self._integrator.integrate(self._calibration.reference_white)) / np.float32(255)
+
+
+class TwinRenderer(Renderer):
+    """Draws a print under the light of the reference, with compiled motion of the skin."""
+
+    def __init__(self, model: SensorModel, kind: Kind, marks: Print, light: F32) -> None:
+        super().__init__(model, marks, kind.profile)
+        self._light = light
+
+    def _carried(self, skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
+        return compiled.carried(skin, chart_mm, friction)
+
+
+def at_rest(model: SensorModel, kind: Kind, marks: Print, light: F32) -> U8:
+    """A noiseless picture of the unloaded skin."""
+    drawn = TwinRenderer(model, kind, marks, light).draw(undeformed(model.skin_radius_mm))
+    return np.asarray(np.clip(drawn + 0.5, 0, 255), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What a kind of print is fitted to."""
+
+    white: WhiteMap
+    reference: F32
+    light: F32
+    base: SensorModel
+    kind: Kind
+    tips: Tips | None
+
+    def against(self, sigma_cells: float) -> Callable[[F64], F64]:
+        """The white that values leave unexplained, smoothed over cells."""
+
+        def soft(cells: F32) -> F64:
+            cells = cv2.GaussianBlur(cells, (0, 0), sigma_cells) if sigma_cells else cells
+            return np.asarray(cells[self.white.inside], np.float64)
+
+        target = soft(self.reference)
+
+        def residual(values: F64) -> F64:
+            model = with_print(self.base, self.kind, values[:4])
+            marks = print_of(model, self.kind, self.tips or Lattice(values[4:]))
+            return soft(self.white.of(at_rest(model, self.kind, marks, self.light))) - target
+
+        return residual
+
+
+def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProxyType({})) -> list[Found]:
+    """Fit the likeliest kinds of print to the reference; the best first, none if no pins are seen.
+
+    `stated` holds sizes in mm that are known: ``pitch_mm``, and `PARAMETERS` in mm.
+    """
+    base, white = base_model(calibration), WhiteMap(calibration)
+    base = replace(base, pitch_mm=stated.get("pitch_mm", base.pitch_mm))
+    sizes = [stated.get(name.replace("_pitches", "_mm")) for name in PARAMETERS]
+    known = {k: size / base.pitch_mm for k, size in enumerate(sizes) if size is not None}
+    reference = white.reference()
+    light, darkness = seen_light(calibration)
+    base = replace(base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6))
+    dark, tips = find_tips(calibration, False, NOMINAL_PITCHES), find_tips(calibration, True, 0.7)
+    lattice = find_lattice(calibration, dark, NOMINAL_PITCHES)
+    e = 0.02 * base.pitch_mm
+    steps = np.concatenate((STEPS, (e, e, e / 8, e / 8, e / 8, e / 8, 0.004)))
+    low, high = np.append(LOWEST, [*[-99.0] * 6, -0.3]), np.append(HIGHEST, [*[99.0] * 6, 0.3])
+    begun = []
+    for kind in KINDS:
+        if kind.white_tips and len(tips) > 12:
+            problem = Problem(white, reference, light, base, kind, Tips(tips))
+            starts, free, rounds = [np.array((0.6, 0.25, 0.25, 0.4))], [0, 1, 2], 3
+        elif lattice is not None and not kind.white_tips:
+            problem = Problem(white, reference, light, base, kind, None)
+            starts = [np.concatenate(((length, 0.35, 0.28, 0.45), lattice.values)) for length in (1.1, 1.6, 2.0)]
+            free, rounds = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10], 4
+        else:
+            continue
+        for start in starts:
+            start[list(known)] = list(known.values())
+        free = [k for k in free if k not in known]
+        rough, n = problem.against(2.0), len(starts[0])
+        fits = [levenberg(rough, each, free, steps[:n], low[:n], high[:n], rounds) for each in starts]
+        begun.append((min(fits, key=lambda fit: fit[1]), problem))
+    begun.sort(key=lambda each: each[0][1])
+    spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
+    made = []
+    for (start, _, _), problem in begun[:2]:
+        n, free = len(start), [k for k in ([0, 1, 2] if problem.tips else range(11)) if k not in known]
+        values = start
+        for sigma_cells in SHARPER:
+            values, cost, jacobian = levenberg(
+                problem.against(sigma_cells), values, free, steps[:n], low[:n], high[:n], 7
+            )
+        seen = np.abs(jacobian).sum(axis=0) > 1e-9
+        covariance = np.zeros((n, n))
+        at = np.array(free)[seen]
+        information = jacobian[:, seen].T @ jacobian[:, seen] * (cells / cost / ALIKE_CELLS)
+        covariance[np.ix_(at, at)] = np.linalg.pinv(information)
+        made.append(
+            Found(problem.kind, values, covariance, math.sqrt(cost / cells) / spread, problem.tips, base, light)
+        )
+    return sorted(made, key=lambda each: each.residual)
+
+
+def levenberg(
+    residual: Callable[[F64], F64], start: F64, free: list[int], steps: F64, low: F64, high: F64, rounds: int
+) -> tuple[F64, float, F64]:
+    """Least squares over the `free` values with differences of `steps`: the values, their cost, the last Jacobian.
+
+    SciPy's methods choose steps for smooth functions; the white of cells is a staircase.
+    """
+    values, damping = start.copy(), 0.03
+    r = residual(values)
+    cost = float(r @ r)
+    jacobian = np.zeros((len(r), len(free)))
+    for _ in range(rounds):
+        for column, k in enumerate(free):
+            moved, step = values.copy(), steps[k] if values[k] + steps[k] < high[k] else -steps[k]
+            moved[k] += step
+            jacobian[:, column] = (residual(moved) - r) / step
+        h, g, before = jacobian.T @ jacobian, jacobian.T @ r, cost
+        for _ in range(4):
+            delta = np.linalg.solve(h + damping * np.diag(np.diag(h) + 1e-9), -g)
+            trial = values.copy()
+            trial[free] = np.clip(values[free] + delta, low[free], high[free])
+            there = residual(trial)
+            if (now := float(there @ there)) < cost:
+                values, r, cost, damping = trial, there, now, damping / 5
+                break
+            damping *= 6
+        if before - cost < 1e-3 * before:
+            break
+    return values, cost, jacobian

@@ -1,0 +1,198 @@
+"""Simulate a twin: frames of sensors like the user's own, as the networks receive them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.reference.references import with_reference
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.integral_image import CellMeans
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.fitting.identify import Found, TwinRenderer, print_of
+from tacshade_edge.fitting.mechanics import Mechanics
+from tacshade_edge.fitting.skins import (
+    NUISANCE_PART,
+    Unevenness,
+    disturbed,
+    random_presses,
+    random_skin,
+    true_maps,
+    true_shear,
+    wide_presses,
+)
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.skin import undeformed
+from tacshade_edge.simulator.two_scales import TURNING
+from tacshade_edge.types import F32, F64, U8, Bool, Calibration
+
+WHOLE, HALVED = "accurate", "balanced"
+"""A profile of each way to preprocess a picture."""
+REFERENCES = 3
+WIDE_PART = 0.1
+"""Share of the presses that are of plates and of large objects."""
+LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.2)), np.array((2.5, 0.48, 0.48, 0.62))
+DRAG_DECAY_MM, COULOMB = (2.0, 12.0), (0.8, 10.0)
+"""Ranges of the mechanics that no press shows; lengths on a skin of 20 mm."""
+TWO_SCALES_PART, UNEVEN_PART = 0.3, 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Frames of several sensors with the same skins; lengths are in disc radii.
+
+    Attributes
+    ----------
+    reference : dict of str to uint8 (S, N, N)
+        White of each sensor at rest, for `WHOLE` and `HALVED`.
+    white : dict of str to uint8 (F, N, N)
+    height : float16 (F, N, N)
+    contact : bool (F, N, N)
+    shear : float16 (F, N / 2, N / 2, 2)
+    sensor : int64 (F,)
+        Each frame's row in `reference`.
+    """
+
+    reference: dict[str, U8]
+    white: dict[str, U8]
+    height: np.typing.NDArray[np.float16]
+    contact: Bool
+    shear: np.typing.NDArray[np.float16]
+    sensor: np.typing.NDArray[np.int64]
+
+
+class View:
+    """A sensor of the cloud, which draws frames and preprocesses them as its own calibration would."""
+
+    def __init__(
+        self, calibration: Calibration, found: Found, values: F64, dome: SensorModel, rng: np.random.Generator
+    ) -> None:
+        model, layout = found.at(values)
+        disc = calibration.geometry.disc
+        self.model = replace(
+            on_dome(model, dome),
+            row_c=disc.row_c + float(rng.normal(0, 0.3)),
+            col_c=disc.col_c + float(rng.normal(0, 0.3)),
+            disc_radius_px=disc.radius_px * (1 + float(rng.normal(0, 0.003))),
+            blur_px=model.blur_px * float(rng.uniform(0.7, 1.4)),
+            read_noise_grey=float(rng.uniform(0.8, 3.0)),
+            shot_noise_grey=float(rng.uniform(1.0, 4.0)),
+            specular_spots=int(rng.integers(0, 5)),
+            position_tolerance_mm=float(rng.uniform(0.01, 0.05)),
+            size_tolerance=float(rng.uniform(0.01, 0.05)),
+            print_seed=int(rng.integers(1 << 30)),
+        )
+        self.renderer = TwinRenderer(self.model, found.kind, print_of(self.model, found.kind, layout), found.light)
+        clean = self.renderer.draw(undeformed(self.model.skin_radius_mm))
+        greys = [greyscale.to_grey(self.renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(REFERENCES)]
+        own = with_reference(calibration, greys)
+        made = {way: Preprocessor(own, PROFILES[way]) for way in (WHOLE, HALVED)}
+        self._ways = {
+            way: (each, CellMeans(each.integrator, disc_map.map_grid(each.calibration.geometry.disc)))
+            for way, each in made.items()
+        }
+        self.reference = {
+            way: _bytes(cells.means(each.reference_white) / np.float32(255))
+            for way, (each, cells) in self._ways.items()
+        }
+
+    def white(self, image: U8) -> dict[str, U8]:
+        """White of the cells of a picture, for `WHOLE` and `HALVED`."""
+        return {
+            way: _bytes(cells.means(each.preprocess(each.grey(image)).white))
+            for way, (each, cells) in self._ways.items()
+        }
+
+
+def on_dome(model: SensorModel, dome: SensorModel) -> SensorModel:
+    """Give a sensor the mechanics of another sensor's skin."""
+    return replace(model, **{name: getattr(dome, name) for name in (
+        "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
+    )})  # fmt: skip
+
+
+def _bytes(white: F32) -> U8:
+    return np.rint(255 * white).astype(np.uint8)
+
+
+def drawn_values(found: Found, rng: np.random.Generator) -> F64:
+    """A member of the cloud of prints that look like the reference."""
+    values = rng.multivariate_normal(found.values, found.cloud())
+    values[:4] = np.clip(values[:4], LOWEST, HIGHEST)
+    return values
+
+
+def drawn_dome(base: SensorModel, mechanics: Mechanics, rng: np.random.Generator) -> tuple[SensorModel, Unevenness]:
+    """Draw the mechanics of a skin."""
+    scale = base.skin_radius_mm / 20
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    dome = replace(
+        base,
+        skin_decay_mm=math.exp(draw(*np.log(mechanics.decay_mm))) * scale,
+        friction=draw(*mechanics.friction),
+        drag_decay_mm=draw(*DRAG_DECAY_MM) * scale,
+        coulomb=math.exp(draw(*np.log(COULOMB))),
+        sway=draw(0.0, 0.6),
+        bulge=draw(0.0, 0.9) if rng.random() < 0.25 else 0.0,
+        pin_lag=draw(0.0, 0.4),
+    )
+    kind = rng.random()
+    if kind < TWO_SCALES_PART:
+        return dome, Unevenness(two_scales=True, mechanics=TURNING if rng.random() < 0.7 else None)
+    if kind < TWO_SCALES_PART + UNEVEN_PART:
+        side = len(undeformed(base.skin_radius_mm).height_mm)
+        coarse = rng.normal(0, 0.3, (7, 7)).astype(np.float32)
+        stiffness = np.exp(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)).astype(np.float32)
+        skirt = (draw(0, 0.4) if rng.random() < 0.5 else 0.0, draw(1, 6))
+        return dome, Unevenness(stiffness, draw(-0.3, 1.5) if rng.random() < 0.5 else 0.0, skirt)
+    return dome, Unevenness()
+
+
+def drawn_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
+    """Draw objects."""
+    return wide_presses(model, rng) if rng.random() < WIDE_PART else random_presses(model, rng)
+
+
+def simulate(
+    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int, skins: int, views: int
+) -> Frames:
+    """Simulate one dome, whose skins several prints of the cloud show."""
+    rng = np.random.default_rng((seed, 31))
+    dome, unevenness = drawn_dome(prints[0].base, mechanics, rng)
+    seen = []
+    for _ in range(views):
+        found = prints[int(rng.integers(len(prints)))]
+        seen.append(View(calibration, found, drawn_values(found, rng), dome, rng))
+    disc = calibration.geometry.disc
+    white: dict[str, list[U8]] = {way: [] for way in (WHOLE, HALVED)}
+    heights, contacts, shears = [], [], []
+    for _ in range(skins):
+        skin, presses = random_skin(dome, unevenness, rng, drawn_presses)
+        for view in seen:
+            image = view.renderer.expose(view.renderer.draw(skin), int(rng.integers(1 << 30)))
+            if rng.random() < NUISANCE_PART:
+                image = disturbed(image, disc, rng)
+            height, contact = true_maps(skin, presses, view.model.geometry, disc)
+            for way, cells in view.white(image).items():
+                white[way].append(cells)
+            heights.append(height.astype(np.float16))
+            contacts.append(contact)
+            shears.append(true_shear(skin, view.model, disc).astype(np.float16))
+    return Frames(
+        {way: np.stack([view.reference[way] for view in seen]) for way in white},
+        {way: np.stack(each) for way, each in white.items()},
+        np.stack(heights),
+        np.stack(contacts),
+        np.stack(shears),
+        np.tile(np.arange(views), skins),
+    )

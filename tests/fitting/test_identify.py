@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, sensor_of, simulated
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.types import Calibration
+
+pytestmark = [
+    pytest.mark.fit,
+    pytest.mark.skipif(find_spec("numba") is None, reason="numba (the extra fit) is not installed"),
+]
+
+
+def of(model: SensorModel) -> Calibration:
+    return calibrate(sensor_of(model), [simulated(model).frame((), k).image for k in range(3)]).calibration
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [FULL, TACTIP, replace(HALF, pin_length_pitches=1.3, print_seed=3)], ids=str)
+def test_the_print_is_found_as_it_was_made(model: SensorModel) -> None:
+    from tacshade_edge.fitting.identify import identify
+
+    best = identify(of(model))[0]
+    assert best.kind.white_tips == (model.pin_tip_reflectance > 0.5)
+    assert best.residual < 0.6
+    pitch = best.base.pitch_mm
+    found_mm = pitch * best.values[:3]
+    true_mm = model.pitch_mm * np.array(
+        (model.pin_length_pitches, model.pin_tip_radius_pitches, model.pin_base_radius_pitches)
+    )
+    assert found_mm[1] == pytest.approx(true_mm[1], rel=0.12)
+    if not best.kind.white_tips:
+        assert found_mm[0] == pytest.approx(true_mm[0], rel=0.2)
+        assert found_mm[2] == pytest.approx(true_mm[2], rel=0.25)
+
+
+def test_what_the_drawing_states_is_not_fitted() -> None:
+    from tacshade_edge.fitting.identify import identify
+
+    best = identify(calibrated(), {"pitch_mm": 1.9, "pin_length_mm": 3.04, "pin_base_radius_mm": 0.53})[0]
+    assert best.base.pitch_mm == 1.9
+    assert 1.9 * best.values[0] == pytest.approx(3.04)
+    assert 1.9 * best.values[2] == pytest.approx(0.53)
