@@ -335,8 +335,7 @@ def _words(prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, f
     unexplained = f"{100 * best.residual:.0f} % of the pattern unexplained"
     lines = [f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} ({unexplained})"]
     if mechanics.seen:
-        scale = best.base.skin_radius_mm / 20
-        decay = " to ".join(f"{scale * each:.1f}" for each in mechanics.decay_mm)
+        decay = " to ".join(f"{each:.1f}" for each in mechanics.decay_mm)
         friction = " to ".join(f"{each:.1f}" for each in mechanics.friction)
         lines.append(f"found that the skin's dent decays over {decay} mm beside a contact, and friction {friction}")
     return tuple(lines)

@@ -20,7 +20,6 @@ from tacshade_edge.types import F32, Calibration
 
 LEAST_PRESSES, MOST_PRESSES = 5, 8
 DECAYS_MM, FRICTIONS = (1.3, 1.7, 2.2, 2.9, 3.8), (0.6, 0.8, 1.0)
-"""On a skin of 20 mm."""
 SMOOTH_CELLS = 2.0
 LIKELY = 1.1
 """Mechanics that leave at most this many times the best ones' error unexplained are likely."""
@@ -30,7 +29,7 @@ STEP, FRICTION_STEP = 1.15, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """Ranges of a skin's decay length (mm, on a skin of 20 mm) and friction."""
+    """Ranges of a skin's decay length and friction."""
 
     decay_mm: tuple[float, float] = (1.3, 3.8)
     friction: tuple[float, float] = (0.6, 1.0)
@@ -48,9 +47,9 @@ def likely_mechanics(calibration: Calibration, found: Found, presses: Sequence[K
     at_rest = white.reference()
     seen = [_soft(white.of(greyscale.to_grey(press.image)) - at_rest) for press in balls]
     model, layout = found.at(found.values)
-    scale, errors = model.skin_radius_mm / 20, {}
+    errors = {}
     for decay_mm, friction in product(DECAYS_MM, FRICTIONS):
-        skin_model = replace(model, skin_decay_mm=decay_mm * scale, friction=friction)
+        skin_model = replace(model, skin_decay_mm=decay_mm, friction=friction)
         renderer = TwinRenderer(skin_model, found.kind, print_of(skin_model, found.kind, layout), found.light)
 
         def drawn(skin, renderer=renderer) -> F32:  # type: ignore[no-untyped-def]

@@ -40,7 +40,7 @@ WIDE_PART = 0.1
 """Share of the presses that are of plates and of large objects."""
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.2)), np.array((2.5, 0.48, 0.48, 0.62))
 DRAG_DECAY_MM, COULOMB = (2.0, 12.0), (0.8, 10.0)
-"""Ranges of the mechanics that no press shows; lengths on a skin of 20 mm."""
+"""Ranges of the mechanics that no press shows."""
 TWO_SCALES_PART, UNEVEN_PART = 0.3, 0.3
 
 
@@ -131,16 +131,14 @@ def drawn_values(found: Found, rng: np.random.Generator) -> F64:
 
 def drawn_dome(base: SensorModel, mechanics: Mechanics, rng: np.random.Generator) -> tuple[SensorModel, Unevenness]:
     """Draw the mechanics of a skin."""
-    scale = base.skin_radius_mm / 20
-
     def draw(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
     dome = replace(
         base,
-        skin_decay_mm=math.exp(draw(*np.log(mechanics.decay_mm))) * scale,
+        skin_decay_mm=math.exp(draw(*np.log(mechanics.decay_mm))),
         friction=draw(*mechanics.friction),
-        drag_decay_mm=draw(*DRAG_DECAY_MM) * scale,
+        drag_decay_mm=draw(*DRAG_DECAY_MM),
         coulomb=math.exp(draw(*np.log(COULOMB))),
         sway=draw(0.0, 0.6),
         bulge=draw(0.0, 0.9) if rng.random() < 0.25 else 0.0,
