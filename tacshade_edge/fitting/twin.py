@@ -131,6 +131,7 @@ def drawn_values(found: Found, rng: np.random.Generator) -> F64:
 
 def drawn_dome(base: SensorModel, mechanics: Mechanics, rng: np.random.Generator) -> tuple[SensorModel, Unevenness]:
     """Draw the mechanics of a skin."""
+
     def draw(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
