@@ -109,7 +109,6 @@ PAGES = {
         {"": "tools.studies.touch out/real/tactile_data_shear"},
         r"^(learning, s|split)$|^(Mean absolute|Published: )|^balanced \| (100|40) | \| random ",
     ),
-    "fit": Page({"": "tools.studies.fit --folder out/fit"}, own=("tacshade_edge/fitting",)),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
     "faults": Page(
         {"": "tools.faults table"},
