@@ -82,7 +82,13 @@ def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
 
 @pytest.mark.parametrize(
     ("simulated", "pressed", "kept"),
-    [((0.3, 0.2), (None, None), True), ((0.3, 0.2), (0.3, 0.31), False), ((0.2, 0.3), (0.3, 0.2), False)],
+    [
+        ((0.3, 0.2), (None, None), True),
+        ((0.3, 0.27), (None, None), False),
+        ((0.3, 0.27), (0.3, 0.2), True),
+        ((0.3, 0.2), (0.3, 0.31), False),
+        ((0.2, 0.3), (0.3, 0.2), False),
+    ],
 )
 def test_a_network_is_kept_if_it_is_better_on_both(
     simulated: tuple[float, float], pressed: tuple[float | None, float | None], kept: bool
