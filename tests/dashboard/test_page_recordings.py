@@ -189,4 +189,7 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
                 process.kill()
                 process.wait()
         wait_until(lambda: not page.find_element(By.ID, "playback").is_displayed(), 15, "nothing to play")
+        opened(page, address, "run-b")  # which was killed: its last status says that it plays
+        wait_until(lambda: "offline" in text(page, "state"), 15, "it is gone")
+        wait_until(lambda: not page.find_element(By.ID, "playback").is_displayed(), 15, "nothing to play")
         assert all(b'"ok":true' in reply for reply in seen.of("tacshade/run-a/res/replay"))

@@ -423,7 +423,7 @@ $("login").addEventListener("submit", (event) => {
 
 function updateControls() {
   const may = !READ_ONLY && link?.connected && works(chosen) && !asking && !uncalibrated(), able = may && !isPlayed(view.parts);
-  updatePlayback(view.parts, may);
+  updatePlayback(view.parts, works(chosen), may);
   $("rezero").disabled = !able && !(rezero.waiting && !rezero.taking);
   $("retired").hidden = !link?.connected || sensors.get(chosen)?.state === undefined || works(chosen);
   updateRecording(view.parts.get("recorder"), able);

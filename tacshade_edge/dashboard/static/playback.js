@@ -37,8 +37,9 @@ export function commandPlayback(ask) {
   });
 }
 
-export function updatePlayback(parts, able) {
-  form.hidden = !isPlayed(parts);
+/** `runs`: a replay that was killed has left the status of its last moment. */
+export function updatePlayback(parts, runs, able) {
+  form.hidden = !runs || !isPlayed(parts);
   if (form.hidden) return;
   const status = parts.get("replay"), { play, step, back, position, speed } = form.elements;
   form.dataset.state = status.state;
