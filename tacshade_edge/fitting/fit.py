@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import multiprocessing
 import os
-import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from tacshade_edge.fitting import training
 from tacshade_edge.fitting.identify import PARAMETERS, Found, identify
 from tacshade_edge.fitting.judging import on_presses
 from tacshade_edge.fitting.mechanics import LEAST_PRESSES, Mechanics, likely_mechanics
+from tacshade_edge.fitting.steps import Steps
 from tacshade_edge.fitting.torch_network import TorchNetwork
 from tacshade_edge.fitting.twin import Frames, simulate
 from tacshade_edge.inference.network import SHEAR, load_network, network_files, network_size, shipped_layout
@@ -52,6 +54,8 @@ LEAST_GAIN = 0.15
 sensor, networks that were 9 and 12 % better on their twin were worse on the sensor; from 14 % on, they were better."""
 MOST_WORKERS = 4
 _SAY_S = 5.0
+NAMES = (DEFAULT, *(name for name in (*LADDER, SHEAR) if name != DEFAULT))
+"""The fitted networks, the default profile's first."""
 _COSTS = {"accurate": 1.0, "shear": 1.2, "balanced": 0.4, "fast": 0.15}
 """Relative duration of the trainings: the longest begins."""
 
@@ -70,7 +74,8 @@ class NetworkReport:
     shipped_mm, fitted_mm : float
         Mean error in contact on frames of the twin that training did not see.
     shipped_presses_mm, fitted_presses_mm : float or None
-        Mean error on the sensor's presses, from which no network has learnt; None without presses.
+        Mean error on the sensor's presses, from which no network has learnt. None without presses; the second also if
+        the fitted network misses more of them.
     """
 
     name: str
@@ -82,8 +87,9 @@ class NetworkReport:
     @property
     def kept(self) -> bool:
         """Whether the fitted network goes into the calibration: it is better on the twin, and on presses if any."""
-        if self.shipped_presses_mm is not None and self.fitted_presses_mm is not None:
-            return self.fitted_mm < self.shipped_mm and self.fitted_presses_mm < self.shipped_presses_mm
+        if self.shipped_presses_mm is not None:
+            found_mm = self.fitted_presses_mm
+            return self.fitted_mm < self.shipped_mm and found_mm is not None and found_mm < self.shipped_presses_mm
         return self.fitted_mm < (1 - LEAST_GAIN) * self.shipped_mm
 
     @property
@@ -91,7 +97,9 @@ class NetworkReport:
         """The report as one line of text."""
         off = f"off by {self.fitted_mm:.2f} mm on simulated frames, {self.shipped_mm:.2f} mm as shipped"
         line = f"fit of {self.name}: {off}"
-        if self.fitted_presses_mm is not None:
+        if self.shipped_presses_mm is not None and self.fitted_presses_mm is None:
+            line += "; it misses more of your presses"
+        elif self.fitted_presses_mm is not None:
             line += f"; {self.fitted_presses_mm:.2f} mm on your presses, {self.shipped_presses_mm:.2f} mm as shipped"
         return line if self.kept else f"{line}; that is no better, so the shipped network stays"
 
@@ -127,10 +135,9 @@ def fit(
     folder : Path, optional
         Keeps finished steps, so that an interrupted fit goes on; removed at the end.
     """
-    effort = FULL
-    kept = _Kept(folder, _digest(calibration, presses, stated or {}, effort))
+    effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")
-    prints = identify(calibration, stated or {})
+    prints = identify(calibration, stated)
     if not prints or prints[0].residual > MOST_UNEXPLAINED:
         why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
@@ -138,55 +145,19 @@ def fit(
     prints = [each for each in prints if each.residual <= LIKELY * prints[0].residual]
     say("fit: comparing presses with simulated skins" if presses else "fit: simulating")
     mechanics = likely_mechanics(calibration, prints[0], presses)
-    jobs = [(calibration, prints, mechanics, seed, effort) for seed in range(effort.domes)]
-    context = multiprocessing.get_context("spawn")
-    names = sorted((*LADDER, SHEAR), key=lambda name: -_COSTS[name])
-    done = context.Array("i", len(names))
-    workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with ProcessPoolExecutor(workers, context, _alone, (done,)) as pool:
-        parts = _frames(pool, jobs, kept, say)
-        weights = _trained(pool, calibration, parts, names, effort, done, kept, say)
-    fitted, reports = {}, []
-    for name in (DEFAULT, *(name for name in (*LADDER, SHEAR) if name != DEFAULT)):
-        made, report = _judged(calibration, presses, parts[-effort.held_out :], name, weights[name])
-        reports.append(report)
-        if report.kept:
-            fitted[name] = made
-    kept.remove()
+    with contextlib.ExitStack() as stack:
+        folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        steps = Steps(folder, _digest(calibration, presses, stated, effort))
+        weights = _worked(calibration, prints, mechanics, effort, steps, say)
+        held = [steps.frames(f"frames-{seed}") for seed in range(effort.domes - effort.held_out, effort.domes)]
+        judged = {name: _judged(calibration, presses, held, name, weights[name]) for name in NAMES}
+        steps.remove()
     return FitResult(
-        replace(calibration, fitted=fitted), _words(prints, mechanics, stated or {}), tuple(reports), _advice(mechanics)
+        replace(calibration, fitted={name: made for name, (made, report) in judged.items() if report.kept}),
+        _words(prints, mechanics, stated),
+        tuple(report for _, report in judged.values()),
+        _advice(mechanics),
     )
-
-
-class _Kept:
-    """Finished steps of a fit in a folder; those of another fit are removed."""
-
-    def __init__(self, folder: Path | None, digest: str) -> None:
-        self._folder = folder
-        if folder is None:
-            return
-        mark = folder / digest
-        if folder.exists() and not mark.exists():
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        mark.touch()
-
-    def load(self, name: str) -> dict[str, Any] | None:
-        path = self._folder and self._folder / f"{name}.npz"
-        if path is None or not path.exists():
-            return None
-        with np.load(path) as file:
-            return dict(file)
-
-    def save(self, name: str, arrays: Mapping[str, Any]) -> None:
-        if self._folder is not None:
-            part = self._folder / f"{name}.part.npz"
-            np.savez(part, **arrays)
-            os.replace(part, self._folder / f"{name}.npz")
-
-    def remove(self) -> None:
-        if self._folder is not None:
-            shutil.rmtree(self._folder)
 
 
 def _digest(
@@ -213,80 +184,65 @@ def _alone(done: Any) -> None:
 
 
 def _simulated(
-    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int, effort: Effort
-) -> Frames:
-    return simulate(calibration, prints, mechanics, seed, effort.skins, effort.views)
+    steps: Steps, name: str, calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int,
+    effort: Effort,
+) -> None:  # fmt: skip
+    steps.save_frames(name, simulate(calibration, prints, mechanics, seed, effort.skins, effort.views))
 
 
-def _frames(pool: ProcessPoolExecutor, jobs: Sequence[tuple[Any, ...]], kept: _Kept, say: Say) -> list[Frames]:
-    parts: dict[int, Frames] = {}
-    for seed in range(len(jobs)):
-        if (arrays := kept.load(f"frames-{seed}")) is not None:
-            parts[seed] = _from_arrays(arrays)
-    waiting = {pool.submit(_simulated, *job): seed for seed, job in enumerate(jobs) if seed not in parts}
-    began_s, total = time.monotonic(), len(waiting)
-    while waiting:
-        for future in wait(waiting, _SAY_S, "FIRST_COMPLETED").done:
-            seed = waiting.pop(future)
-            parts[seed] = future.result()
-            kept.save(f"frames-{seed}", _arrays(parts[seed]))
-        finished = total - len(waiting)
-        left = f", {(time.monotonic() - began_s) * len(waiting) / finished:.0f} s left" if finished else ""
-        say(f"fit: simulated {len(parts)} of {len(jobs)} skins{left}, then training")
-    return [parts[seed] for seed in range(len(jobs))]
-
-
-def _arrays(frames: Frames) -> dict[str, Any]:
-    plain = {field.name: getattr(frames, field.name) for field in fields(Frames)}
-    ways = {f"{name}.{way}": each for name in ("reference", "white") for way, each in plain.pop(name).items()}
-    return plain | ways
-
-
-def _from_arrays(arrays: Mapping[str, Any]) -> Frames:
-    made: dict[str, Any] = {"reference": {}, "white": {}}
-    for name, each in arrays.items():
-        what, _, way = name.partition(".")
-        if way:
-            made[what][way] = each
-        else:
-            made[what] = each
-    return Frames(**made)
-
-
-def _trained(
-    pool: ProcessPoolExecutor, calibration: Calibration, parts: Sequence[Frames], names: Sequence[str],
-    effort: Effort, done: Any, kept: _Kept, say: Say,
-) -> dict[str, F32]:  # fmt: skip
-    weights: dict[str, F32] = {}
-    waiting: dict[Future[F32], str] = {}
-    for number, name in enumerate(names):
-        if (arrays := kept.load(name)) is not None:
-            weights[name], done[number] = arrays["weights"], effort.steps
-        else:
-            waiting[pool.submit(_train, calibration, parts[: -effort.held_out], name, number, effort.steps)] = name
-    cost = {name: _COSTS[name] for name in waiting.values()}
-    began_s = said_s = time.monotonic()
-    while waiting:
-        for future in wait(waiting, 1.0, "FIRST_COMPLETED").done:
-            name = waiting.pop(future)
-            weights[name] = future.result()
-            kept.save(name, {"weights": weights[name]})
-        part = sum(cost[name] * done[k] for k, name in enumerate(names) if name in cost)
-        part /= max(sum(cost.values()) * effort.steps, 1)
-        if (now_s := time.monotonic()) - said_s >= _SAY_S and part > 0:
-            said_s = now_s
-            say(f"fit: training, {100 * part:.0f} % done, about {(now_s - began_s) * (1 / part - 1):.0f} s left")
-    return weights
-
-
-def _train(calibration: Calibration, parts: Sequence[Frames], name: str, number: int, steps: int) -> F32:
+def _train(steps: Steps, name: str, number: int, calibration: Calibration, effort: Effort) -> None:
     network = TorchNetwork(name)
+    parts = [steps.frames(f"frames-{seed}") for seed in range(effort.domes - effort.held_out)]
+    maps = training.maps_of(calibration, parts, name)
+    del parts
 
     def report(step: int) -> None:
         _steps_done[number] = step
 
-    training.train(network, training.maps_of(calibration, parts, name), _skin_radii(calibration), steps, report)
-    return network.flat()
+    training.train(network, maps, _skin_radii(calibration), effort.steps, report)
+    steps.save_weights(name, network.flat())
+
+
+def _worked(
+    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, effort: Effort, steps: Steps, say: Say
+) -> dict[str, F32]:
+    """Simulate and train on all cores, but for what is kept; the weights."""
+    context = multiprocessing.get_context("spawn")
+    names = sorted(NAMES, key=lambda name: -_COSTS[name])
+    done = context.Array("i", len(names))
+    workers = min(os.cpu_count() or 1, MOST_WORKERS)
+    with ProcessPoolExecutor(workers, context, _alone, (done,)) as pool:
+        try:
+            jobs = [
+                pool.submit(_simulated, steps, name, calibration, prints, mechanics, seed, effort)
+                for seed in range(effort.domes)
+                if not steps.has(name := f"frames-{seed}")
+            ]
+            _wait(jobs, lambda finished: finished / max(len(jobs), 1), "simulating", say)
+            to_train = [name for name in names if not steps.has(name)]
+            jobs = [pool.submit(_train, steps, name, k, calibration, effort) for k, name in enumerate(to_train)]
+            cost = effort.steps * sum(_COSTS[name] for name in to_train)
+            _wait(jobs, lambda _: sum(_COSTS[n] * done[k] for k, n in enumerate(to_train)) / cost, "training", say)
+        except BaseException:
+            # A training takes minutes: Ctrl-C does not wait for it. What is finished is kept.
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
+    return {name: steps.weights(name) for name in names}
+
+
+def _wait(jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: str, say: Say) -> None:
+    """Wait for jobs, and say every few seconds which part is done; raise what one of them raised."""
+    began_s = time.monotonic()
+    waiting = set(jobs)
+    while waiting:
+        finished, waiting = wait(waiting, _SAY_S, "FIRST_EXCEPTION")
+        for job in finished:
+            job.result()
+        part = part_of(len(jobs) - len(waiting))
+        if part > 0:
+            left_s = (time.monotonic() - began_s) * (1 / part - 1)
+            say(f"fit: {what}, {100 * part:.0f} % done, about {left_s:.0f} s left")
 
 
 def _skin_radii(calibration: Calibration) -> float:
@@ -311,8 +267,8 @@ def _judged(
     )
     if not before.errors_mm:
         return made, NetworkReport(name, shipped_mm, fitted_mm)
-    if not after.errors_mm:
-        return made, NetworkReport(name, shipped_mm, fitted_mm, before.mean_mm, math.inf)
+    if after.presses < before.presses:
+        return made, NetworkReport(name, shipped_mm, fitted_mm, before.mean_mm)
     made = FittedNetwork(
         made.layout, weights, correction, after.presses, after.mean_mm, before.mean_mm, after.error_scale
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,23 +82,9 @@ def print_features(model: SensorModel) -> Print:
     pins = lay(corner)
     # The second triangle of each lattice cell is the first one mirrored in the cell's middle.
     markers = lay(np.concatenate((corner + third, corner - third)))
-    radius = sizes(model.marker_radius_pitches, len(markers))
-    angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
-    # A regular polygon of the same area as the disc.
-    radius = radius * math.sqrt(2 * math.pi / (_MARKER_CORNERS * math.sin(2 * math.pi / _MARKER_CORNERS)))
-    circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    outline = equal_area_to_direction(markers, r)
-    east, north = tangents(outline)
-    ring = outline[:, None, :] * r + radius[:, None, None] * (
-        circle[None, :, :1] * east[:, None, :] + circle[None, :, 1:] * north[:, None, :]
-    )
-    return Print(
-        marker_chart_mm=np.stack(direction_to_chart(ring, r), axis=-1),
-        pin_chart_mm=np.stack(direction_to_chart(equal_area_to_direction(pins, r), r), axis=-1),
-        pin_base_mm=sizes(model.pin_base_radius_pitches, len(pins)),
-        pin_tip_mm=sizes(model.pin_tip_radius_pitches, len(pins)),
-        pin_length_mm=sizes(model.pin_length_pitches, len(pins)),
-    )
+    # Regular polygons of the same area as the discs.
+    area = math.sqrt(2 * math.pi / (_MARKER_CORNERS * math.sin(2 * math.pi / _MARKER_CORNERS)))
+    return _printed(model, pins, markers, sizes, area)
 
 
 def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> Print:
@@ -119,7 +106,7 @@ def reach_mm(model: SensorModel) -> float:
 def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> Print:
     """Print pins and markers at points (N, 2) of the equal-area chart, with the model's tolerances."""
     rng = np.random.default_rng((model.print_seed, 14))
-    r, p, limit = model.skin_radius_mm, model.pitch_mm, reach_mm(model)
+    p, limit = model.pitch_mm, reach_mm(model)
 
     def lay(points: F64) -> F64:
         points = points + rng.normal(0, model.position_tolerance_mm, points.shape)
@@ -129,12 +116,21 @@ def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> Print:
         return np.asarray(pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5))
 
     pins, markers = lay(pins_mm), lay(markers_mm)
+    return _printed(model, pins, markers, sizes, 1.0)
+
+
+def _printed(
+    model: SensorModel, pins: F64, markers: F64, sizes: Callable[[float, int], F64], marker_part: float
+) -> Print:
+    """The print with pins and markers at points of the equal-area chart."""
+    r = model.skin_radius_mm
+    radius = sizes(model.marker_radius_pitches, len(markers)) * marker_part
+    angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
+    circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     centre = equal_area_to_direction(markers, r)
     east, north = tangents(centre)
-    angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
-    radius = sizes(model.marker_radius_pitches, len(markers))[:, None, None]
-    ring = centre[:, None, :] * r + radius * (
-        np.cos(angles)[None, :, None] * east[:, None, :] + np.sin(angles)[None, :, None] * north[:, None, :]
+    ring = centre[:, None, :] * r + radius[:, None, None] * (
+        circle[None, :, :1] * east[:, None, :] + circle[None, :, 1:] * north[:, None, :]
     )
     return Print(
         marker_chart_mm=np.stack(direction_to_chart(ring, r), axis=-1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, presses, unloaded
+from support.calibrated_sensor import HALF, calibrated, presses, unloaded
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import Calibration, Frame
+from tools.testbed.patience import wait_until
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.fit import FitResult, NetworkReport
@@ -34,39 +36,58 @@ def short_fit(
 ) -> FitResult:
     from tacshade_edge.fitting import fit as module
 
-    monkeypatch.setattr(module, "FULL", module.Effort(domes=2, held_out=1, skins=2, views=1, steps=3))
+    monkeypatch.setattr(module, "FULL", module.Effort(domes=2, held_out=1, skins=2, views=1, steps=steps))
     monkeypatch.setattr(module, "_SAY_S", 0.0)
-    return module.fit(without_presses(), [], said.append, {"pin_length_mm": 3.04}, folder)
+    say = said.append if isinstance(said, list) else said
+    return module.fit(without_presses(), [], say, {"pin_length_mm": 3.04}, folder)
 
 
 @pytest.mark.slow
 def test_a_fit_needs_no_press_and_says_what_it_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    said: list[str] = []
-    result = short_fit(monkeypatch, said, tmp_path / "fit")
+    folder, said = tmp_path / "fit", []
+    folder.mkdir()
+    (folder / "fit-of-mine.txt").touch()
+    (folder / "fit-0123456789abcdef-shear.npz").touch()  # of another fit
+    result = short_fit(monkeypatch, said, folder)
     assert [report.name for report in result.networks] == [DEFAULT, "accurate", "fast", "shear"]
     assert set(result.calibration.fitted) == {report.name for report in result.networks if report.kept}
     assert "pins 3.04 mm long as stated" in result.found[0]
     assert said[0] == "fit: finding the print in the reference"
-    assert any(line.startswith("fit: simulated 2 of 2 skins") for line in said)
-    assert not (tmp_path / "fit").exists()
+    assert any(line.startswith("fit: simulating, 100 % done") for line in said)
+    assert [path.name for path in folder.iterdir()] == ["fit-of-mine.txt"]
     frame = Frame(0, 0, 0, unloaded())
     assert make_reconstructor(result.calibration, PROFILES[DEFAULT]).step(frame).valid
 
 
 @pytest.mark.slow
-def test_an_interrupted_fit_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from tacshade_edge.fitting import fit as module
+def test_an_interrupted_fit_leaves_no_worker_and_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def interrupt(line: str) -> None:
+        if line.startswith("fit: training"):
+            raise KeyboardInterrupt
 
-    trained = module._trained
-    monkeypatch.setattr(module, "_trained", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        short_fit(monkeypatch, [], tmp_path)
-    kept = sorted(path.name for path in tmp_path.glob("frames-*.npz"))
+        short_fit(monkeypatch, interrupt, tmp_path / "fit", steps=400)
+    wait_until(lambda: not multiprocessing.active_children(), 10, "the workers ended")
+    kept = sorted(path.name[21:] for path in (tmp_path / "fit").glob("fit-*-frames-*.npz"))
     assert kept == ["frames-0.npz", "frames-1.npz"]
-    monkeypatch.setattr(module, "_trained", trained)
     said: list[str] = []
-    short_fit(monkeypatch, said, tmp_path)
-    assert not any("simulated" in line for line in said)
+    monkeypatch.setattr("tacshade_edge.fitting.training.train", None)  # in this process, which does not train
+    with pytest.raises(KeyboardInterrupt):
+        short_fit(monkeypatch, lambda line: (said.append(line), interrupt(line)), tmp_path / "fit", steps=400)
+    assert not any("simulating, " in line for line in said)
+
+
+@pytest.mark.slow
+def test_balls_show_the_mechanics() -> None:
+    from tacshade_edge.fitting.identify import identify
+    from tacshade_edge.fitting.mechanics import Mechanics, likely_mechanics
+
+    found = identify(without_presses())[0]
+    shown = likely_mechanics(without_presses(), found, presses())
+    assert shown.seen
+    assert shown.decay_mm[0] < HALF.skin_decay_mm < shown.decay_mm[1]
+    assert shown.decay_mm[1] / shown.decay_mm[0] < 2.2
+    assert likely_mechanics(without_presses(), found, presses()[:4]) == Mechanics()
 
 
 def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
@@ -86,6 +107,7 @@ def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
         ((0.3, 0.2), (None, None), True),
         ((0.3, 0.27), (None, None), False),
         ((0.3, 0.27), (0.3, 0.2), True),
+        ((0.3, 0.2), (0.3, None), False),
         ((0.3, 0.2), (0.3, 0.31), False),
         ((0.2, 0.3), (0.3, 0.2), False),
     ],

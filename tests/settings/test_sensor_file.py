@@ -26,11 +26,19 @@ def test_the_least_that_must_be_said_and_its_defaults(tmp_path: Path) -> None:
 def test_everything_that_can_be_said(tmp_path: Path) -> None:
     text = LEAST.replace("bright", "dark") + (
         "camera_distance_mm: 14\nalpha: 3\nbinarisation: otsu\nflange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n"
-        "visible_circle: {row_px: 240.5, col_px: 310, radius_px: 205}\n"
+        "visible_circle: {row_px: 240.5, col_px: 310, radius_px: 205}\nprint: {pin_length_mm: 3.1, pitch_mm: 2}\n"
     )
     sensor = read_sensor(sensor_file(tmp_path, text))
     assert sensor == Sensor(
-        20.0, 14.0, 50.0, "dark", 3.0, "otsu", (1.0, -2.0, 30.5, 0.0, 0.6, 0.8, 0.0), Disc(240.5, 310.0, 205.0)
+        20.0,
+        14.0,
+        50.0,
+        "dark",
+        3.0,
+        "otsu",
+        (1.0, -2.0, 30.5, 0.0, 0.6, 0.8, 0.0),
+        Disc(240.5, 310.0, 205.0),
+        {"pitch_mm": 2.0, "pin_length_mm": 3.1},
     )
 
 
@@ -64,6 +72,8 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         (LEAST + "visible_circle: {row_px: 1, col_px: 2}\n", r": visible_circle\.radius_px: found nothing"),
         (LEAST + "visible_circle: {row_px: 1, col_px: 2, radius_px: 2}\n", r":4: visible_circle\.radius_px: found 2"),
         (LEAST + "visible_circle: 205\n", r":4: visible_circle: found 205"),
+        (LEAST + "print: {pin_length_mm: 0}\n", r":4: print\.pin_length_mm: found 0"),
+        (LEAST + "print: {pin_mm: 1}\n", r":4: print\.pin_mm: "),
         (LEAST + "binarisation: magic\n", r":4: binarisation: found magic"),
     ],
 )

@@ -152,9 +152,10 @@ def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[Kn
 
 
 def _fit() -> Callable[..., FitResult]:
-    """Return the function that trains. Raises ConfigError if PyTorch is not installed."""
-    if importlib.util.find_spec("torch") is None:  # an extra: large, and needed only here
-        raise ConfigError(f"--fit: PyTorch is not installed; to install it: {how_to_install('fit')}")
+    """Return the function that trains. Raises ConfigError if the extra is not installed."""
+    for module, name in (("torch", "PyTorch"), ("numba", "numba")):  # large, and needed only here
+        if importlib.util.find_spec(module) is None:
+            raise ConfigError(f"--fit: {name} is not installed; to install it: {how_to_install('fit')}")
     from tacshade_edge.fitting.fit import fit
 
     return fit

@@ -278,12 +278,18 @@ def test_a_new_reference_keeps_the_fit(words: list[str], tmp_path: Path, layout:
     assert calibrations.fits_to_renew(new) == (("fast",) if layout else ())
 
 
-def test_a_fit_without_pytorch_names_the_extra(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("missing", "name"), [("torch", "PyTorch"), ("numba", "numba")])
+def test_a_fit_without_its_extra_names_it(
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    missing: str,
+    name: str,
 ) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda module: None if module == missing else True)
     assert main(["calibrate", *words, "--fit", "--out", str(tmp_path / "cal.npz")]) == 78
-    assert "--fit: PyTorch is not installed; to install it: pip install" in one_line(capsys.readouterr().err)
+    assert f"--fit: {name} is not installed; to install it: pip install" in one_line(capsys.readouterr().err)
     assert not (tmp_path / "cal.npz").exists()
 
 
@@ -309,6 +315,8 @@ def test_a_fit_goes_into_the_file(
     kept = {name for name, each in report["fitted"].items() if each["kept"]}
     assert set(calibration_file.load(out).fitted) == kept
     assert "found a print of dark pins" in report["fit_found"][0]
+    assert "decays over" in report["fit_found"][1]
+    assert [path.name for path in tmp_path.glob("cal.npz*")] == ["cal.npz"]
 
 
 def test_a_reference_is_named_by_its_file(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

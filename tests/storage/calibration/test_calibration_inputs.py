@@ -10,7 +10,9 @@ from tacshade_edge.storage.calibration.calibration_inputs import IMAGES, TRIANGL
 from tacshade_edge.types import U8
 
 SHAPE = (12, 16)
-SENSOR = Sensor(20.0, None, 50.0, "dark", flange_T_sensor=(1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0))
+SENSOR = Sensor(
+    20.0, None, 50.0, "dark", flange_T_sensor=(1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0), print_mm={"pin_length_mm": 3.1}
+)
 
 
 def image(seed: int) -> U8:

@@ -65,7 +65,7 @@ def hand_frames(
     hand_T_sensors : sequence of Rigid
         Pose of each sensor.
     body : Shape
-        A shape from `simulator.hand.bodies` or `mesh_shape`.
+        A shape from `simulator.hand.bodies`.
     script : HandScript
     fps : float
         Up to 60, the steps are `STEP_S` or shorter; above, there is one step per frame.
