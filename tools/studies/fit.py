@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER] [--threads 2]
+    .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER]
 
 A case is a sensor fitted to references and presses, with ``/none`` to references alone. The presses are of balls of
 three sizes, flat ends of two, a square and a lying bar, or of the balls alone (``/balls``), 0.6 to 4.5 mm deep; the
@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 import tacshade_edge
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
@@ -203,9 +202,8 @@ def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict
     }
 
 
-def measured(case: str, threads: int) -> dict[str, object]:
+def measured(case: str) -> dict[str, object]:
     """Calibrate, fit and judge a case."""
-    torch.set_num_threads(threads)
     text, _, presses = case.partition("/")
     name = sensor_name(text)
     sensor = name.make()
@@ -235,7 +233,7 @@ def program() -> str:
     return digest.hexdigest()
 
 
-def of_case(case: str, threads: int, folder: Path | None) -> dict[str, Any]:
+def of_case(case: str, folder: Path | None) -> dict[str, Any]:
     """A case's results, measured now or kept."""
     kept = folder / f"{case.replace(':', '_').replace('/', '_')}.json" if folder else None
     if kept and kept.exists():
@@ -243,7 +241,7 @@ def of_case(case: str, threads: int, folder: Path | None) -> dict[str, Any]:
         if found["program"] == program():
             return found
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        made = {"program": program(), **pool.submit(measured, case, threads).result()}
+        made = {"program": program(), **pool.submit(measured, case).result()}
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(made))
@@ -320,11 +318,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", default=CASES, help="sensors, with /balls for balls alone or /none for no presses")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
-    parser.add_argument("--threads", type=int, default=2, help="of PyTorch")
     args = parser.parse_args()
     accurate, drags, costs, of_cases = [], [], [], []
     for case in args.cases.split(","):
-        found = of_case(case, args.threads, args.folder)
+        found = of_case(case, args.folder)
         print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
         rows = [Judged(**row) for row in found["rows"]]
         of_cases.append((found["reports"], rows))
