@@ -50,7 +50,7 @@ MOST_UNEXPLAINED = 0.75
 LIKELY = 1.15
 """A kind of print that leaves at most this many times the best one's part unexplained belongs to the cloud."""
 LEAST_GAIN = 0.15
-"""Part by which a network must be better on the twin where no presses judge it: the twin that trained it flatters it."""
+"""Part by which a network must be better on the twin where no presses judge it: a twin flatters what it trained."""
 MOST_WORKERS = 4
 _SAY_S = 5.0
 NAMES = (DEFAULT, *(name for name in (*LADDER, SHEAR) if name != DEFAULT))

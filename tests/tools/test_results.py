@@ -25,6 +25,7 @@ def save(tree: Path, subject: str) -> None:
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A repository with a solver, a program that prints a table, and a page."""
     for path, content in {
+        ".gitignore": "__pycache__/\n",
         "tacshade_edge/core/solver.py": "",
         "tacshade_edge/hand.py": "",
         "tools/__init__.py": "",
