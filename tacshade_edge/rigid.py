@@ -14,13 +14,7 @@ from .types import F64, Pose, freeze
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
-    """A rotation, then a translation.
-
-    Attributes
-    ----------
-    rotation : float64 (3, 3)
-    translation_mm : float64 (3,)
-    """
+    """A rotation (3, 3), then a translation (3,)."""
 
     rotation: F64
     translation_mm: F64
@@ -46,12 +40,8 @@ class Rigid:
 
 
 def from_seven(values: Sequence[float]) -> Rigid:
-    """Make a transform from x, y, z in mm and a quaternion w, x, y, z, which is normalised.
-
-    Raises
-    ------
-    ValueError
-        The quaternion has length 0.
+    """Make a transform from x, y, z in mm and a quaternion w, x, y, z, which is normalised. Raises ValueError if its
+    length is 0.
     """
     x_mm, y_mm, z_mm, *q = values
     norm = math.sqrt(math.fsum(v * v for v in q))

@@ -13,43 +13,21 @@ AUTO = "auto"
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """The settings behind a name.
-
-    Attributes
-    ----------
-    name : str
-    solver : str
-        Key of ``core.depth.SOLVERS``.
-    network : str or None
-        Name of the solver's network; None if it has none.
-    stride_px : int
-        Stride of eq. 1, and so of every later map.
-    window_pitches : int
-        Side of eq. 1's window in whole marker pitches, so that the pattern itself averages out.
-    tv_weight : float
-        Weight of the total-variation denoising, in units of g/255; 0 for none.
-    gate_levels : float
-        Least change of grey that opens the contact gate. A solver that finds the contact itself never took glare for
-        one, so its gate only has to stay closed for the dent after a release (at most 14.7 in 99 % of those of 0.2 mm).
-    gate_dark_levels : float
-        Least change away from contact that also opens the gate, inf for none: the rim of a contact darkens even if a
-        sensor hardly brightens (of 885 presses of 1.5 mm the other level missed 4, whose rims were at least 10.8 below;
-        a release of 0.2 mm leaves at most 8.7).
-    halved : bool
-        Work on means over 2x2 px of every camera, not only of noisy ones (`core.image.halving.is_halved`).
-    cells : int
-        Number of cells along a side of the network's map.
-    """
+    """The settings behind a name: the key of ``core.depth.SOLVERS`` and the name of its network, if it has one."""
 
     name: str
     solver: str
-    stride_px: int
-    window_pitches: int
-    tv_weight: float
+    stride_px: int  # of eq. 1, and so of every later map
+    window_pitches: int  # side of eq. 1's window: whole pitches, so that the pattern itself averages out
+    tv_weight: float  # of the total-variation denoising, in units of g/255; 0 for none
+    # Least change of grey that opens the contact gate. A solver that finds the contact itself never took glare for one,
+    # so its gate only has to stay closed for the dent after a release (at most 14.7 in 99 % of those of 0.2 mm).
     gate_levels: float
+    # Least change away from contact that also opens it: the rim of a contact darkens even if a sensor hardly brightens
+    # (of 885 presses of 1.5 mm the other level missed 4, with rims at least 10.8 below; a release leaves at most 8.7).
     gate_dark_levels: float = math.inf
-    halved: bool = False
-    cells: int = disc_map.CELLS
+    halved: bool = False  # means over 2x2 px of every camera, not only of noisy ones (`core.image.halving.is_halved`)
+    cells: int = disc_map.CELLS  # along a side of the network's map
     network: str | None = None
 
 

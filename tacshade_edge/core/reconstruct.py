@@ -55,26 +55,9 @@ class Reconstructor:
     """Reconstructs frames of one calibrated sensor, deterministically.
 
     Each frame is independent, except that one with the untouched skin of an earlier frame gets that frame's result
-    (`frame_check.unchanged`).
-
-    Parameters
-    ----------
-    calibration : Calibration
-    profile : Profile
-    network : Network, optional
-        The profile's network, if it names one.
-    make_solver : callable, optional
-        Replaces the profile's solver.
-    find_objects : callable
-        Finds the objects in contact.
-    touch : TouchModel, Reason, list or None
-        The profile's model, or the reason why it cannot be used; without a model, map and shear give the touch. A list
-        collects the features of each requested touch for learning.
-
-    Attributes
-    ----------
-    grid, rays
-        Grid and rays of every height map, in the camera's pixels.
+    (`frame_check.unchanged`). `touch` is the profile's model, or the reason why it cannot be used (without a model, map
+    and shear give the touch); a list collects the features of each requested touch for learning. `grid` and `rays` are
+    those of every height map, in the camera's pixels.
     """
 
     def __init__(
@@ -115,16 +98,9 @@ class Reconstructor:
     def step(self, frame: Frame, mark: Mark = ..., need: Need = ...) -> Reconstruction | None: ...
 
     def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL) -> Reconstruction | None:
-        """Reconstruct one frame.
-
-        Parameters
-        ----------
-        frame : Frame
-        mark : callable
-            Called with a stage's name (`STAGES`) at its end, so that a caller with a clock can time it.
-        need : Need
-            With ``CONTACT``, a frame in contact returns None instead of a depth. Without ``SHEAR``, ``SIGMA`` or
-            ``TOUCH``, a frame in contact has no such value.
+        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end, so that a caller with a
+        clock can time it. With the need ``CONTACT``, a frame in contact returns None instead of a depth; without
+        ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape)

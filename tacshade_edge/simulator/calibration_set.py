@@ -14,11 +14,9 @@ _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
 def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Press, float]]:
-    """Draw ball presses and the radius of each ball in mm.
-
-    Positions follow a sunflower over the inner two thirds of the visible disc, so that contacts stay visible; radii
-    (3 to 9 mm) and depths (0.5 to 4 mm) are stratified, then shuffled, so that any subset covers their ranges. All
-    lengths are for a skin of 20 mm and scale with its radius.
+    """Draw ball presses and the radius of each ball in mm: places on a sunflower over the inner two thirds of the
+    visible disc; radii (3 to 9 mm) and depths (0.5 to 4 mm) stratified, then shuffled, so that any subset covers their
+    ranges. All lengths are for a skin of 20 mm and scale with its radius.
     """
     rng = np.random.default_rng((seed, 4))
     scale = model.skin_radius_mm / 20

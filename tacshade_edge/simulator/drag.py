@@ -57,19 +57,8 @@ Shape = Callable[[F32 | None], Skin]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """The nodes of a grid in contact.
-
-    Attributes
-    ----------
-    rows, cols : int (N,)
-    owner : int (N,)
-        Index of the press that touches the node.
-    held_mm : float (N, 2)
-        w if the node sticks, in mm of the chart.
-    touched_mm : float (N, 2)
-        Chart coordinates of the undeformed skin at the x and y where the object touched it, before the drag.
-    pressure_mm : float (N,)
-        p / kn.
+    """The nodes (N,) of a grid in contact, each with the index of its press: w (N, 2) if it sticks, in mm of the chart;
+    chart coordinates (N, 2) of the undeformed skin at the x and y where the object touched it, before the drag; p / kn.
     """
 
     rows: I64
@@ -84,16 +73,9 @@ class Contacts:
 class Mechanics:
     """How a skin yields along itself.
 
-    Attributes
-    ----------
-    lean : callable
-        Displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a sway (2,) in mm at the
-        apex.
-    carry : callable
-        w, float32 (2, rows, cols) in mm of the chart, from the contacts, the grid's mass weights
-        (`skin.mass_weight`), its step in mm and the model.
-    traction : callable
-        q / kt, float32 (2, rows, cols) in mm, that holds such a w, from w, the weights, the step and the model.
+    `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a sway (2,) in mm at
+    the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts, the grid's mass weights
+    (`skin.mass_weight`), its step and the model. `traction`: q / kt (2, rows, cols) that holds such a w.
     """
 
     lean: Callable[[F64, F64], F64]
@@ -108,18 +90,8 @@ def drag_skin(
     mechanics: Mechanics | None = None,
     rest: Skin | None = None,
 ) -> Skin:
-    """Shape a skin under presses, some of which drag it.
-
-    Parameters
-    ----------
-    shape : callable
-        Solves the normal problem of `presses`.
-    model : SensorModel
-    presses : sequence of Press
-    mechanics : Mechanics, optional
-        By default `MEMBRANE`.
-    rest : Skin, optional
-        The unloaded skin after creep: its lean and tangential displacement; `shape` accounts for its other properties.
+    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem. `rest`, the unloaded skin
+    after creep, adds its lean and tangential displacement.
     """
     mechanics = mechanics or MEMBRANE
     if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
@@ -134,9 +106,8 @@ def drag_skin(
 
 
 def leant_mm(direction: F64, sway_mm: F64) -> F64:
-    """The displacement of the leaning dome's skin, (..., 3) mm, at unit vectors (..., 3); `sway_mm` (2,) at the apex.
-
-    The dome shears from the rim up and turns by half as much, like a beam that is as long as it is wide.
+    """Displacement (..., 3) of the leaning dome's skin at unit vectors (..., 3), for a sway (2,) at the apex: the dome
+    shears from the rim up and turns by half as much, like a beam that is as long as it is wide.
     """
     low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
@@ -302,9 +273,8 @@ MEMBRANE = Mechanics(leant_mm, carry, traction_mm)
 
 
 def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
-    """The factor on displacements that keeps the skin from folding over itself, as between contacts that meet.
-
-    It is continuous, so that a long drag does not jump.
+    """The factor on displacements that keeps the skin from folding over itself, as between contacts that meet;
+    continuous, so that a long drag does not jump.
     """
     (xx, yx), (xy, yy) = ([np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0))
     # The area of a node's cell is 1 + part * trace + part² * determinant, and must be 1 - _STEEPEST at least.

@@ -13,20 +13,9 @@ _RELAXATION = 1.7
 
 
 def slid(held: F32, limit: F32, mass: F32) -> F32:
-    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit; w equals `held` where the limit allows it.
-
-    Parameters
-    ----------
-    held : float32 (2, rows, cols)
-        w if the node sticks.
-    limit : float32 (rows, cols)
-        Above 0 where something touches.
-    mass : float32 (rows, cols)
-
-    Returns
-    -------
-    float32 (2, rows, cols)
-        w; 0 on the border. Found by projected red-black over-relaxation that starts on a quarter of the nodes.
+    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something touches) for w (2,
+    rows, cols), 0 on the border and `held` where the limit allows it, by projected red-black over-relaxation that
+    starts on a quarter of the nodes.
     """
     rows, cols = mass.shape
     if min(mass.shape) >= 24:

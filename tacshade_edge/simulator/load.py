@@ -15,23 +15,10 @@ from tacshade_edge.types import F64, freeze
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """The load of one press.
-
-    Attributes
-    ----------
-    normal_mm3 : float
-        ∫ p / kn over its contact, 0 or more.
-    shear_mm3 : float
-        ∫ |q| / kt over its contact, 0 or more: the tangential load of a drag, and also that of a twist, whose tractions
-        cancel in `pull_mm3`.
-    push_mm3 : float64 (3,)
-        Force of the pressure on the object over kn, in the sensor frame; its line of action passes through O.
-    pull_mm3 : float64 (3,)
-        Force of the traction on the object over kt.
-    torque_mm4 : float64 (3,)
-        Torque of the traction about O.
-    surplus : float
-        Part of its drag and twist that the object could reverse without sticking anywhere; 0 if it sticks.
+    """The load of one press: ∫ p / kn and ∫ |q| / kt over its contact (the latter also of a twist, whose tractions
+    cancel in `pull_mm3`); the force of the pressure on the object, through O, and of the traction, and the latter's
+    torque about O, in the sensor frame; `surplus`, the part of its drag and twist that the object could reverse without
+    sticking anywhere (0 if it sticks).
     """
 
     normal_mm3: float
@@ -56,20 +43,8 @@ class Load:
 
 
 def summed(direction: F64, points_mm: F64, pressure_mm: F64, traction_mm: F64, area_mm2: float, surplus: float) -> Load:
-    """Sum the loads of a contact's nodes.
-
-    Parameters
-    ----------
-    direction, points_mm : float64 (N, 3)
-        Unit vectors from O to the nodes, and their positions.
-    pressure_mm : float64 (N,)
-        p / kn.
-    traction_mm : float64 (N, 2)
-        q / kt of the skin, along the chart's axes; a length in the chart is taken as one on the skin.
-    area_mm2 : float
-        Area of each node.
-    surplus : float
-        `Load.surplus`.
+    """Sum the loads of a contact's nodes, each of an area: unit vectors from O and places (N, 3), p / kn (N,), and q /
+    kt (N, 2) of the skin along the chart's axes; a length in the chart is taken as one on the skin.
     """
     # Unit tangents of the chart's axes.
     over = direction[:, :2] / (1 + direction[:, 2:])

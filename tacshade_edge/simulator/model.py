@@ -22,56 +22,24 @@ MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
 class SensorModel:
     """The parameters of one sensor: skin, pins and markers, camera, light. Radii in pitches are radii, not diameters.
 
-    Attributes
-    ----------
-    skin_radius_mm, camera_distance_mm, visible_half_angle_deg
-        r, d (None: orthographic) and θ of `tacshade_edge.types.Geometry`.
-    image_height_px, image_width_px, row_c, col_c, disc_radius_px
-        The frame and the visible circle in it.
-    pitch_mm : float
-        Distance between neighbouring pins of the hexagonal lattice, on the undeformed skin.
-    lattice_rotation_deg : float
-    pin_length_pitches, pin_tip_radius_pitches, pin_base_radius_pitches, marker_radius_pitches : float
-        Pins are frusta that point inwards from the skin. Markers lie on the skin at the centres of the lattice's
-        triangles; if they overlap (radius over 0.29 pitches), they merge into a white ground with dark dots under pins.
-    position_tolerance_mm, size_tolerance : float
-        Print tolerances: standard deviations of a feature's position, and of its radius or length as a ratio.
-    skin_decay_mm : float
-        λ, the length over which the skin's skirt decays outside a contact.
-    friction : float
-        1: the skin sticks to what presses it and goes along -z with it; 0: it slides and moves along its radius.
-    drag_decay_mm : float
-        λt, the length over which a displacement along the skin decays next to a contact that drags it.
-    coulomb : float
-        μ kn / kt: Coulomb's coefficient times the foundation's stiffness along the radius over that along the skin.
-    sway : float
-        Part of a drag that the whole dome takes while the skin sticks: 0 to 0.9.
-    bulge : float
-        Part of the displaced volume that bulges out at the dome's sides: 1 for a dome filled with gel.
-    pin_lag : float
-        Part of the skin's displacement by drag by which the tips of its pins lag behind.
-    creep_part, creep_s : float
-        Part of its deformation by which the skin creeps under a held load, at most a ninth so that the dent after a
-        release is at most a tenth of the depth; and the time constant in s of the creep and of the dent's recovery
-        (`creep`), 0.1 to 3 s. Only scenes that move in time (`moving_scene`) creep.
-    light : float
-        Grey level of a feature of reflectance 1 in the middle of the disc, 0 to 255.
-    vignetting : float
-        Light lost at the edge of the visible circle, as a ratio.
-    marker_reflectance, skin_reflectance, pin_reflectance, pin_tip_reflectance : float
-        Reflectances as ratios; `light` is the grey level at 1.
-    colour_bgr : three floats
-        Gain of each channel: markers look bluish under most LED rings.
-    blur_px : float
-        Standard deviation of the lens blur.
-    read_noise_grey, shot_noise_grey : float
-        Standard deviation of the noise on black, and of the noise added to it (in quadrature) at grey level 255.
-    surround : str
-        Image outside the visible circle: ``bright`` (LED ring and housing) or ``dark``.
-    specular_spots : int
-        Number of small LED highlights inside the visible circle; they do not move with the skin.
-    print_seed : int
-        Seed of the print tolerances and the highlights.
+    Skin: r, d (None: orthographic) and θ as in `Geometry`. λ `skin_decay_mm` is the length over which the skirt decays
+    outside a contact, λt `drag_decay_mm` that of a displacement along the skin. With `friction` 1 the skin sticks to
+    what presses it and goes along -z with it, with 0 it slides and moves along its radius; `coulomb` is μ kn / kt.
+    `sway` is the part of a drag that the whole dome takes while the skin sticks (0 to 0.9), `bulge` the part of the
+    displaced volume that bulges out at the dome's sides (1: filled with gel), `pin_lag` the part of a drag by which
+    tips of pins lag behind. `creep_part` of its deformation is how much the skin creeps under a held load, at most a
+    ninth so that the dent after a release is at most a tenth of the depth, `creep_s` (0.1 to 3) the time constant of
+    creep and recovery; only scenes that move in time (`moving_scene`) creep.
+
+    Print: a hexagonal lattice of pins, frusta that point inwards, a pitch apart on the undeformed skin. Markers lie at
+    the centres of its triangles; if they overlap (radius over 0.29 pitches), they merge into a white ground with dark
+    dots under pins. Tolerances are standard deviations of a feature's place, and of its radius or length as a ratio.
+
+    Image: `light` is the grey level of a feature of reflectance 1 in the middle of the disc, `vignetting` the part lost
+    at its edge, `colour_bgr` the gain of each channel (markers look bluish under most LED rings); blur and noise are
+    standard deviations, shot noise that added in quadrature at level 255. The `surround` of the visible circle is
+    ``bright`` (LED ring and housing) or ``dark``; specular spots are LED highlights inside it, which do not move with
+    the skin.
     """
 
     skin_radius_mm: float = 20.0
@@ -158,10 +126,9 @@ class SensorModel:
 
 
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
-    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor.
-
-    Pin tips under a third of the pitch, or a skin that slides, would give sensors that a ball darkens; the ranges
-    exclude them (one sensor in a hundred hardly responds to a ball).
+    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor. Pin
+    tips under a third of the pitch, or a skin that slides, would give sensors that a ball darkens; the ranges exclude
+    them (one in a hundred hardly responds to a ball).
     """
     rng = np.random.default_rng(seed)
 

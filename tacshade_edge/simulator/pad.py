@@ -106,9 +106,8 @@ class Pad:
         return _distance(self.bulges, points_mm)
 
     def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
-        """The pad under a sensor at a pose, as a shape for a `Press` of depth 0 at (0, 0).
-
-        The origin of such a press is the apex of the undeformed skin.
+        """The pad under a sensor at a pose, for a `Press` of depth 0 at (0, 0), whose origin is the apex of the
+        undeformed skin.
         """
         x, y, _ = base_T_sensor.translation_mm
         near = [b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM]
@@ -185,9 +184,8 @@ def raster(surface: Surface, step_mm: float) -> F32:
 
 
 def scan(pad: Surface, step_mm: float, depth_mm: float, skin_radius_mm: float) -> list[Rigid]:
-    """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro.
-
-    `depth_mm` is the depth of the undeformed apex below the highest point.
+    """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro,
+    with the undeformed apex `depth_mm` below the highest point.
     """
     z = pad.top_mm - depth_mm + skin_radius_mm
     xs, ys = (np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist() for side in (pad.width_mm, pad.length_mm))

@@ -17,24 +17,11 @@ from tacshade_edge.types import F64
 class Press:
     """An indenter that moved along -z and then along the skin.
 
-    Attributes
-    ----------
-    shape : Shape
-    x_mm, y_mm : float
-        Position of the object's origin after the drag, as in the image; without a tilt, the origin is its lowest point.
-    depth_mm : float
-        z of the undeformed skin at (x, y) minus z of the lowest point. It is not the travel from first touch: a wide
-        object off the axis touches earlier, nearer to the apex. Negative values are above the skin.
-    rotation_deg : float
-        Rotation about the object's z axis, from x towards y.
-    scale : float
-        Enlargement of the shape about its lowest point.
-    tilt_x_deg, tilt_y_deg : float
-        Tilt about the sensor's x axis, then its y axis, through the origin.
-    drag_x_mm, drag_y_mm : float
-        How far the object moved after it touched.
-    twist_deg : float
-        How far the object turned about z through (x, y) after it touched, from x towards y.
+    x, y is where the object's origin (without a tilt, its lowest point) is after the drag, as in the image. `depth_mm`
+    is z of the undeformed skin there minus z of the lowest point, negative above the skin; it is not the travel from
+    first touch: a wide object off the axis touches earlier, nearer to the apex. The shape is enlarged by `scale` about
+    its lowest point, turned about its z axis from x towards y, and tilted about the sensor's x, then y axis. The drag
+    says how far it moved after it touched, the twist how far it turned about z through (x, y), from x towards y.
     """
 
     shape: Shape
@@ -133,21 +120,7 @@ def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg:
 
 
 def distances_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
-    """Signed distances to each pressed object.
-
-    Parameters
-    ----------
-    presses : sequence of Press
-        At least one.
-    skin_radius_mm : float
-    points_mm : float (N, 3)
-        In the sensor frame.
-
-    Returns
-    -------
-    float (presses, N)
-        Distances in mm, negative inside; of the points' dtype.
-    """
+    """Signed distances (presses, N), negative inside, from points (N, 3) to each pressed object (at least one)."""
     return np.stack([press.distance_mm(skin_radius_mm, points_mm) for press in presses])
 
 

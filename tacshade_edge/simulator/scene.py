@@ -16,16 +16,7 @@ from tacshade_edge.types import F32, F64, U8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """An image with its presses, skin and model.
-
-    Attributes
-    ----------
-    image : uint8 (H, W, 3)
-        BGR.
-    presses : tuple of Press
-    skin : Skin
-    model : SensorModel
-    """
+    """An image (BGR) with its presses, skin and model."""
 
     image: U8
     presses: tuple[Press, ...]
@@ -52,12 +43,8 @@ class SimulatedSensor:
         self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture under presses; several at once act as their union.
-
-        Raises
-        ------
-        ValueError
-            A press is not over the skin, or reaches the middle of the sensor.
+        """Take a picture under presses; several at once act as their union. Raises ValueError if one is not over the
+        skin, or reaches the middle of the sensor.
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
@@ -77,19 +64,8 @@ class SimulatedSensor:
 
 
 def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None = None) -> Skin:
-    """Shape a sensor's skin.
-
-    Parameters
-    ----------
-    model : SensorModel
-    presses : sequence of Press
-    rest : Skin, optional
-        The unloaded skin after creep.
-
-    Raises
-    ------
-    ValueError
-        As in `SimulatedSensor.frame`.
+    """Shape a sensor's skin under presses; `rest` is the unloaded skin after creep. Raises ValueError as
+    `SimulatedSensor.frame`.
     """
     rest_mm = None if rest is None else rest.pressed_mm
 

@@ -23,17 +23,9 @@ class Drag:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """A sequence of presses, each a pause without contact, approach, hold and release; repeats after the last.
-
-    Attributes
-    ----------
-    presses : tuple of Press
-        The presses at their greatest depth, before the drag.
-    approach, hold, release, pause : int
-        Number of frames of each phase.
-    drags : tuple of Drag
-        One drag per press, cyclically: made in few steps over the middle half of the hold and kept through the release,
-        which then has equally few steps. If empty, nothing is dragged.
+    """A sequence of presses at their greatest depth, before the drag: each is a pause without contact, approach, hold
+    and release, of as many frames; repeats after the last. One drag per press, cyclically, is made in few steps over
+    the middle half of the hold and kept through the release, which then has equally few steps.
     """
 
     presses: tuple[Press, ...]
@@ -95,9 +87,8 @@ def _moved(press: Press, drag: Drag, part: float) -> Press:
 
 
 def demonstration(depth_mm: float = 3.0, objects: Sequence[str] = ()) -> Script:
-    """The script of the demo: the named objects (by default all), each shifted and turned a little.
-
-    Of every five, one is dragged, one is dragged so far that it slips fully, and one is dragged and twisted.
+    """The script of the demo: the named objects (by default all), each shifted and turned a little. Of every five, one
+    is dragged, one so far that it slips fully, and one is dragged and twisted.
     """
     places = ((0.0, 0.0), (3.0, -2.0), (-4.0, 1.0), (1.0, 4.0), (-2.0, -3.0))
     drags = (Drag(), Drag(-2.5, 0.5), Drag(), Drag(-5.0, -4.0), Drag(2.0, 1.0, 10.0))

@@ -22,20 +22,10 @@ _INVERSE_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True values at the pixels of the image.
-
-    Attributes
-    ----------
-    height_mm : float32 (H, W)
-        h, positive inwards, of the deformed skin point that the pixel's ray meets first; NaN outside the disc.
-    contact : bool (H, W)
-        Whether that point lies within 0.02 mm of an object's surface.
-    points_mm : float32 (N, 3)
-        The points in contact, in the sensor frame, in the order of the pixels of `contact`.
-    object_points_mm : float32 (M, 3)
-        The objects' surfaces inside the undeformed skin, as seen from O (touched by the skin or not).
-    depth_max_mm : float
-        Greatest h over the visible disc.
+    """True values at the pixels of the image: h of the deformed skin point that the pixel's ray meets first (NaN
+    outside the disc); whether that point lies within 0.02 mm of an object's surface; those points (N, 3); the objects'
+    surfaces inside the undeformed skin (M, 3), as seen from O (touched by the skin or not); the greatest h over the
+    visible disc.
     """
 
     height_mm: F32
@@ -46,17 +36,7 @@ class Truth:
 
 
 def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]) -> Truth:
-    """Intersect every pixel's ray with the skin.
-
-    Parameters
-    ----------
-    skin : Skin
-    presses : sequence of Press
-        The presses that shaped the skin.
-    geometry : Geometry
-    shape : (int, int)
-        Height and width of the image in px.
-    """
+    """Intersect the ray of every pixel of an image of a shape with a skin and the presses that shaped it."""
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     disc = geometry.disc
     inside = np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px
@@ -80,9 +60,8 @@ def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tup
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
-    """The points where the pixels' rays from the camera first meet the deformed skin: (N, 3) mm.
-
-    A ray that misses the sphere gets its point nearest to O.
+    """The points (N, 3) where the pixels' rays from the camera first meet the deformed skin; the point nearest to O for
+    a ray that misses the sphere.
     """
     origin, along = pixel_rays(geometry, row, col)
     r = skin.radius_mm
@@ -124,20 +103,8 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
 
 
 def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
-    """Shear along x and y, from every cause, of the material at points of a deformed skin.
-
-    Parameters
-    ----------
-    skin : Skin
-    points_mm : float64 (N, 3)
-        Points of the skin (`skin_points`).
-    friction : float
-        `SensorModel.friction`.
-
-    Returns
-    -------
-    float64 (N, 2)
-        Present x, y minus x, y in the undeformed skin, in mm.
+    """Shear (N, 2) along x and y, from every cause, of the material at points (N, 3) of a deformed skin: present x, y
+    minus those in the undeformed skin.
     """
     now = np.stack(direction_to_chart(points_mm, skin.radius_mm), axis=-1)
     before = now.copy()

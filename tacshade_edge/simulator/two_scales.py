@@ -34,9 +34,8 @@ def turned_mm(direction: F64, sway_mm: F64) -> F64:
 
 
 def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
-    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings with two decays.
-
-    Skin outside a contact follows the contact's nearest point; the far decay is not exponential.
+    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings with two decays: skin
+    outside follows the contact's nearest point; the far decay is not exponential.
     """
     carried = np.zeros((2, *weight.shape), np.float32)
     for owner in np.unique(contacts.owner):

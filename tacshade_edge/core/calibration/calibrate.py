@@ -55,26 +55,9 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit everything about a sensor that images can show.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    references : sequence of uint8 (H, W) or (H, W, 3)
-        At least one image of the unloaded skin.
-    presses : sequence of KnownPress
-        None, or at least `press_selection.MIN_PRESSES`.
-    allow_loaded_reference : bool
-        Warn of a load instead of raising.
-    networks : mapping of str to Network, optional
-        The network of each profile to refit to the presses.
-    reference_names : sequence of str
-        Name of each reference in messages; numbers from 1 if empty.
-
-    Raises
-    ------
-    ConfigError
-        The references or presses cannot give a calibration; the message states why.
+    """Fit everything about a sensor that images can show, from at least one image of the unloaded skin and any presses;
+    the networks are those of the profiles to refit. Raises ConfigError, and says why, if that cannot give a
+    calibration.
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)

@@ -11,10 +11,8 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """The user's description of a sensor (SENSOR.yaml).
-
-    `visible_circle` and `binarisation` override what the references show; if None, `calibrate` finds them there. So do
-    the sizes of the print in `print_mm`, by their keys in SENSOR.yaml, for ``--fit``.
+    """The user's description of a sensor (SENSOR.yaml); `visible_circle`, `binarisation` and, for ``--fit``, the sizes
+    in `print_mm` (by their keys in the file) override what `calibrate` finds in the references.
     """
 
     skin_radius_mm: float
@@ -30,21 +28,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPress:
-    """A known press: its image and its row of PRESSES.csv.
-
-    Attributes
-    ----------
-    name : str
-    image : uint8 (H, W) or (H, W, 3)
-    radius_mm : float
-        Radius of the ball; 0 for another indenter.
-    depth_mm : float
-    x_mm, y_mm : float or None
-        None for a ball that the image must locate.
-    indenter : Indenter or None
-        None for a ball.
-    yaw_deg, tilt_x_deg, tilt_y_deg : float
-        Angles as defined by `place`.
+    """A known press: its image and its row of PRESSES.csv, with the angles of `place`. A ball has a radius, no
+    indenter, and no x and y if the image must locate it.
     """
 
     name: str
@@ -61,17 +46,8 @@ class KnownPress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """All input to a calibration, kept so that the calibration can be repeated.
-
-    Attributes
-    ----------
-    sensor : Sensor
-    references : tuple of uint8 (H, W)
-        Grey images of the unloaded skin.
-    presses : tuple of KnownPress
-        With grey images.
-    renewed : tuple of uint8 (H, W)
-        Images of the latest new reference (``calibrate --rezero``); empty if none was taken.
+    """All input to a calibration, kept so that it can be repeated; grey images only, `renewed` of the latest new
+    reference (``calibrate --rezero``).
     """
 
     sensor: Sensor

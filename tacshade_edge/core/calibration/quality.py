@@ -39,16 +39,8 @@ UNCALIBRATED = Quality(
 
 
 def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]) -> Quality:
-    """Grade a fit to presses.
-
-    Parameters
-    ----------
-    fit : Fit
-    geometry : Geometry
-    missing : sequence of str
-        What the presses do not cover, as advice.
-    errors_mm : sequence of (name, error in mm)
-        Depth errors of the presses in the graded profile.
+    """Grade a fit to presses, given advice on what they do not cover, and the depth error of each in the graded
+    profile.
     """
     if GRADED_PROFILE not in fit.profiles:
         return Quality(

@@ -25,13 +25,7 @@ def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:
 
 
 def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
-    """Repeat a calibration with the present program.
-
-    Raises
-    ------
-    ConfigError
-        The program can no longer calibrate from these inputs.
-    """
+    """Repeat a calibration with the present program. Raises ConfigError if that can no longer use these inputs."""
     # The first calibration already warned of a loaded reference, or rejected it.
     made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
     return rezero(made, inputs.renewed, True) if inputs.renewed else made

@@ -37,12 +37,8 @@ BORNE_NS, BEYOND = 2_000_000_000, 1.5
 
 @dataclass(slots=True)
 class Grip:
-    """The hold on one object, updated frame by frame.
-
-    Attributes
-    ----------
-    limit : float
-        Ratio at which it slides: after a slide, the greatest ratio of that slide or borne since.
+    """The hold on one object, updated frame by frame; `limit` is the ratio at which it slides: after a slide, the
+    greatest of that slide or borne since.
     """
 
     limit: float = LIMIT
@@ -58,22 +54,8 @@ class Grip:
     """Times and ratios of the last `BORNE_NS`."""
 
     def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
-        """Update the hold with a frame.
-
-        Parameters
-        ----------
-        t_ns : int
-            Time of the frame; one not after the last begins another stream.
-        shear_mm : (float, float)
-            Mean shear over the contact.
-        depth_mm : float
-            Greatest h of the contact.
-        slip : Slip
-
-        Returns
-        -------
-        float
-            Margin from 1 (firm) to 0 (the whole contact slides, or would).
+        """Update the hold with a frame (its time, mean shear, greatest h and slip), and return the margin from 1 (firm)
+        to 0 (the whole contact slides, or would). A frame not after the last begins another stream.
         """
         ratio = math.hypot(*shear_mm) / max(depth_mm, LEAST_DEPTH_MM)
         if self._t_ns is None or t_ns <= self._t_ns:

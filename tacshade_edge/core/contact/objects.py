@@ -24,18 +24,8 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Objects:
-    """All objects in contact.
-
-    Attributes
-    ----------
-    contact : bool (rows, cols)
-        Cells of any object.
-    cloud : ObjectCloud
-        Their points, ordered by label.
-    described : tuple of TouchedObject
-        The largest first, at least one.
-    volume_mm3 : float
-        Volume displaced under them.
+    """All objects in contact: their cells, their points ordered by label, their description (the largest first, at
+    least one) and the volume displaced under them.
     """
 
     contact: Bool
@@ -48,11 +38,8 @@ class Objects:
 
 
 def contact_of(depth: Depth, inside: Bool) -> Bool:
-    """Cells where the skin touches an object, bool (rows, cols): the solver's contact, else the paper's split of
-    heights.
-
-    The split uses the heights as found, because heights clipped at the skin's radius would all be equal for a great α.
-    Untrusted cells have no contact.
+    """Cells where the skin touches an object: the solver's contact, else the paper's split of the heights as found
+    (clipped ones would all be equal for a great α). Untrusted cells have no contact.
     """
     if depth.contact is None:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
@@ -64,19 +51,8 @@ def contact_of(depth: Depth, inside: Bool) -> Bool:
 def find_objects(
     contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
-    """Separate the objects in contact, with points of their skin; None if nothing touches.
-
-    Parameters
-    ----------
-    contact : bool (rows, cols)
-        True only at cells with a height.
-    height_mm : float32 (rows, cols)
-        Height h, at most r; NaN outside the disc.
-    shear_mm : float32 (rows, cols, 2) or None
-        Shear of the skin.
-    rays : DiscRays
-        Rays of the same grid.
-    geometry : Geometry
+    """Separate the objects in contact, with points of their skin; None if nothing touches. `contact` holds only cells
+    with a height; heights are at most r, shear is (rows, cols, 2).
     """
     box = bounding_box(contact)
     return None if box is None else objects_in(box, contact, height_mm, shear_mm, rays, geometry)
@@ -112,21 +88,11 @@ def bounding_box(contact: Bool) -> Box | None:
 
 
 def two_means_split(values: F32) -> float:
-    """The threshold of k-means with k = 2 over scalar values, the paper's separation of object and skin.
+    """The threshold of k-means with k = 2 over finite values, the paper's separation of object and skin; infinity
+    without two different values.
 
-    In one dimension each cluster is an interval, so k-means chooses one threshold, and minimising the variance within
-    the two intervals means maximising the variance between them, which is Otsu's criterion. Trying every threshold of a
-    histogram therefore gives the global optimum (up to a bin) that Lloyd's iterations only approach, and needs no seed.
-
-    Parameters
-    ----------
-    values : float32 (N,)
-        Finite.
-
-    Returns
-    -------
-    float
-        Values above it are the upper cluster; infinity without two different values.
+    In one dimension each cluster is an interval, so minimising the variance within both means maximising that between
+    them, Otsu's criterion: every threshold of a histogram is tried, and no seed needed.
     """
     if values.size == 0:
         return float("inf")
@@ -150,20 +116,8 @@ def two_means_split(values: F32) -> float:
 
 
 def label_objects(contact: Bool, cell_area: F32) -> U16:
-    """Number the connected contacts (8-neighbours), the largest area first.
-
-    Drops patches below 0.5 mm², and those beyond the 65535 objects that a cloud can number.
-
-    Parameters
-    ----------
-    contact : bool (rows, cols)
-    cell_area : float32 (rows, cols)
-        mm² of skin per cell.
-
-    Returns
-    -------
-    uint16 (rows, cols)
-        0 outside all objects, else the object's number from 1.
+    """Number the connected contacts (8-neighbours) from 1, the largest area first; 0 outside. Drops patches below 0.5
+    mm², and those beyond the 65535 objects that a cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
@@ -186,18 +140,8 @@ def cells_by_label(labels: U16) -> I64:
 def _described(
     x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32, shear_mm: F32 | None
 ) -> tuple[TouchedObject, ...]:
-    """Centroid, extent, depth, area and motion of every labelled contact.
-
-    Parameters
-    ----------
-    x_y_z : float32 (3, N)
-        Points, at least one.
-    labels : uint16 (N,)
-        Their labels, in order and without gaps.
-    height_mm, cell_area : float32 (N,)
-        Height and area of skin at the points.
-    shear_mm : float32 (2, N) or None
-        Shear at the points.
+    """Centroid, extent, depth, area and motion of every labelled contact, from points (3, N), their labels in order and
+    without gaps, and height, area of skin and shear (2, N) there.
     """
     numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
     ends = labels.searchsorted(numbers, side="right")

@@ -14,16 +14,9 @@ TWIST_CELLS = 6
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """The motion of one object's contact since the reference.
-
-    Attributes
-    ----------
-    shear_mm : (float, float)
-        Mean shear of the points along x and y.
-    twist_deg : float or None
-        Angle about z, from x towards y, of the least-squares rotation about their mean; None below `TWIST_CELLS`.
-    strain_mm : float
-        Root mean square of the motion beyond shear and rotation: 0 for skin that an object holds.
+    """The motion of one object's contact since the reference: mean shear of its points; angle about z, from x towards
+    y, of the least-squares rotation about their mean (None below `TWIST_CELLS`); RMS of the motion beyond both, 0 for
+    skin that an object holds.
     """
 
     shear_mm: tuple[float, float]
@@ -38,14 +31,8 @@ def about_mean(values: F32, starts: I64, counts: I64) -> tuple[F64, F64]:
 
 
 def normals(about_mean_mm: F64, starts: I64) -> F64:
-    """Unit normals (objects, 3) of the planes through each object's points, away from the camera (z not below 0).
-
-    Parameters
-    ----------
-    about_mean_mm : float64 (3, N)
-        Points less their object's mean, object by object.
-    starts : int (objects,)
-        Index of each object's first point; no object is empty.
+    """Unit normals (objects, 3) of the planes through each object's points, away from the camera (z not below 0). Takes
+    points (3, N) less their object's mean, and the index of each object's first point; no object is empty.
     """
     ends = [*starts[1:].tolist(), about_mean_mm.shape[1]]
     objects = [about_mean_mm[:, start:end] for start, end in zip(starts.tolist(), ends, strict=True)]
@@ -55,16 +42,8 @@ def normals(about_mean_mm: F64, starts: I64) -> F64:
 
 
 def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -> tuple[RigidMotion, ...]:
-    """Fit a motion to the points of each object.
-
-    Parameters
-    ----------
-    about_mean_mm : float64 (2, N)
-        Present points, x and y less their object's mean, object by object.
-    shear_mm : float32 (2, N)
-        Shear of the points along x and y.
-    starts, counts : int (objects,)
-        Index of each object's first point, and number of its points; no object is empty.
+    """Fit a motion to the points of each object: present x and y (2, N) less their object's mean, and their shear (2,
+    N), object by object; index of each object's first point and number of its points, none empty.
     """
 
     def sums(values: F64) -> F64:

@@ -45,18 +45,8 @@ REACH_MM = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """One object in one frame, as input to tracking.
-
-    Attributes
-    ----------
-    x_mm, y_mm : float
-        Mean place of its points.
-    shear_mm : (float, float)
-        Mean shear of its skin.
-    strain_mm : float
-        See `rigid_motion.RigidMotion.strain_mm`.
-    depth_max_mm : float
-        Greatest h.
+    """One object in one frame, as input to tracking: mean place of its points, mean shear and strain (`RigidMotion`) of
+    its skin, greatest h.
     """
 
     x_mm: float
@@ -68,17 +58,8 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """The result of tracking for an object.
-
-    Attributes
-    ----------
-    id : int
-        Number from 1, the same while it touches, and never used again.
-    slip : Slip
-    slip_mm_s : float or None
-        Speed of its imprint over the skin's material; None until known.
-    margin : float
-        From 1 (firm) to 0 (sliding).
+    """The result of tracking for an object: a number from 1, the same while it touches and never used again; its slip;
+    the speed of its imprint over the skin's material (None until known); its margin from 1 (firm) to 0 (sliding).
     """
 
     id: int
@@ -178,9 +159,8 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
 
 
 def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tuple[bool, float | None]:
-    """Whether the whole contact slides, and the least-squares speed of its imprint over the material, mm/s.
-
-    The speed is None until known.
+    """Whether the whole contact slides, and the least-squares speed of its imprint over the material (None until
+    known).
     """
     if len(seen) < LEAST_FRAMES:
         return False, None

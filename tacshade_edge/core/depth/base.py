@@ -21,23 +21,10 @@ Features = list[F32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Depth:
-    """A solver's answer on its grid.
-
-    Attributes
-    ----------
-    height_mm : float32 (rows, cols)
-        Height h, finite and not below 0; undefined outside the disc.
-    contact : bool (rows, cols) or None
-        Cells where the skin touches an object, inside the disc only; None if only the heights show it.
-    saturated : bool
-        Whether some cell left the range of the calibration.
-    repaired_px : int
-        Number of cells with a value that was not finite, replaced by 0.
-    untrusted : bool (rows, cols) or None
-        Cells that show something other than this sensor's skin, undefined outside the disc; None if not reported.
-    contact_logit : float32 (rows, cols) or None
-    untrusted_logit : float32 (M, M) or None
-        Log odds of both; those of untrusted are for fewer, wider cells.
+    """A solver's answer on its grid. `height_mm` is finite and not below 0, `contact` (None if only the heights show
+    it) is False outside the disc, where else values are undefined; `repaired_px` counts values that were not finite,
+    replaced by 0; `untrusted` cells show something other than this sensor's skin. The log odds of untrusted are (M, M),
+    for fewer, wider cells.
     """
 
     height_mm: F32
@@ -57,13 +44,8 @@ class Depth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkMaps:
-    """The outputs of a network for a frame.
-
-    Attributes
-    ----------
-    depth_and_contact : float32 (2 fold², N, N)
-    untrusted : float32 (M, M)
-        Log odds that a cell (fewer and wider ones) shows something other than the sensor's skin.
+    """The outputs of a network for a frame: (2 fold², N, N) depth and contact, and (M, M) log odds that a cell (fewer
+    and wider ones) shows something other than the sensor's skin.
     """
 
     depth_and_contact: F32
@@ -72,18 +54,8 @@ class NetworkMaps:
 
 @dataclass(frozen=True, slots=True)
 class ShearNetwork:
-    """A network for the skin's tangential motion; see `Network`.
-
-    Attributes
-    ----------
-    fold : int
-    cells : int
-        Number of cells along a side of its input maps.
-    sense : callable
-    run : callable
-        Returns the shear along x and y, (2, M, M).
-    run_touch : callable or None
-        Returns the same and float32 (D,) features for a touch model (`core.touch`).
+    """A network for the skin's tangential motion; see `Network`. `run` returns the shear along x and y, (2, M, M),
+    `run_touch` that and the features (D,) for a touch model.
     """
 
     fold: int
@@ -95,25 +67,12 @@ class ShearNetwork:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A network and the layout of its maps; N = cells / fold.
+    """A network and the layout of its maps; N = cells / fold: each square of fold x fold cells becomes fold² channels.
 
-    Its first layer is linear in its input, so a sensor's reference contributes the same to every frame.
-
-    Attributes
-    ----------
-    fold : int
-        Each square of fold x fold cells becomes fold² channels (`network_maps.fold`).
-    sense : callable
-        Maps what is known of a sensor, the folded white of the reference and `network_maps.KNOWN` maps, (fold² + KNOWN,
-        N, N), to its contribution to the first layer, (channels, N, N).
-    run : callable
-        Maps the folded white of a frame, (fold², N, N), and the result of `sense` to `NetworkMaps`.
-    shear : ShearNetwork
-        Runs in addition if shear is requested.
-    sigma : SigmaModel or None
-        Model of its errors, if they were measured.
-    run_touch : callable or None
-        Returns the result of `run` and float32 (D,) features for a touch model (`core.touch`).
+    Its first layer is linear in its input, so a sensor's reference contributes the same to every frame: `sense` maps
+    the folded white of the reference and `network_maps.KNOWN` maps, (fold² + KNOWN, N, N), to that contribution,
+    (channels, N, N). `run` maps the folded white of a frame, (fold², N, N), and that to `NetworkMaps`; `run_touch` also
+    returns features (D,) for a touch model (`core.touch`). `shear` runs in addition if requested.
     """
 
     fold: int
@@ -138,16 +97,14 @@ class Solver(Protocol):
         ...
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
-        """Solve one image in contact; `mark` receives the stages before the last, ``depth``, which the caller marks.
-
-        Appends the features of its network to `features`, if given.
+        """Solve one image in contact, and append the features of its network to `features`, if given; `mark` receives
+        the stages before the last, ``depth``, which the caller marks.
         """
         ...
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
-        """Shear of the skin along x and y at the grid's cells, float32 (rows, cols, 2); None if not reported.
-
-        The caller owns the array. It is finite, and undefined outside the disc. `features` is as in `solve`.
+        """Shear of the skin along x and y, (rows, cols, 2), finite, undefined outside the disc, the caller's; None if
+        not reported.
         """
         ...
 

@@ -39,22 +39,12 @@ def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
 
 
 def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
-    """Run 25 iterations of eq. 11 from the initialisation of ref. [20], and take the 3x3 median of |Z|.
+    """Run 25 iterations of eq. 11 from the initialisation of ref. [20] on g_hn (0 to 1; any value is accepted), and
+    take the 3x3 median of |Z|: finite, in pixels of arbitrary scale, with the number of values repaired.
 
     The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and shows its
     result upside down; this keeps the first, not the second. The denominators |N·L| of eqs. 4, 7 and 8 are read as
     |N||L|: as printed, the quotient could only be 1 or -1.
-
-    Parameters
-    ----------
-    g_hn : float64 (rows, cols), 0 to 1; other values, including NaN and infinity, are accepted.
-
-    Returns
-    -------
-    z : float64 (rows, cols)
-        Finite, in pixels of arbitrary scale.
-    repaired_px : int
-        Number of values of the input or the result that were not finite, replaced by 0.
     """
     finite = np.isfinite(g_hn)
     repaired = int(finite.size - np.count_nonzero(finite))
@@ -103,13 +93,8 @@ def _median3(values: F64) -> F64:
 
 
 def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """Compute the paper's height: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range are clipped.
-
-    Parameters
-    ----------
-    maps : GreyMaps
-    alpha_mm : float
-        α, the depth for a normalised height of 1.
+    """The paper's height: g_hn (eq. 10), eq. 11, then α, the depth for a normalised height of 1. Grey beyond its range
+    is clipped.
     """
     g_hn, bad = finite_shape_grey(maps)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
@@ -135,18 +120,7 @@ def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
 
 
 class HybridSfs:
-    """Solves by denoising, eq. 9, and `hybrid_depth`.
-
-    Parameters
-    ----------
-    preprocessor : Preprocessor
-    network : None
-        Not used.
-    denoise : callable
-        The total-variation denoising.
-    depth : callable
-        Computes depth from the maps and α in mm.
-    """
+    """Solves by denoising, eq. 9, and `hybrid_depth`, without a network."""
 
     has_shear = False
 

@@ -26,16 +26,9 @@ DEEPEST_RADII = 0.31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inverse:
-    """The network's result for a frame, at the map's cells.
-
-    Attributes
-    ----------
-    height_mm : float32 (cells, cells)
-        Height h; sometimes slightly below 0 without contact.
-    contact_logit : float32 (cells, cells)
-        Log odds that the skin touches an object.
-    untrusted_logit : float32 (M, M)
-        Log odds that a cell (fewer and wider ones) shows something other than this sensor's skin.
+    """The network's result for a frame: height h, sometimes slightly below 0 without contact, and the log odds of
+    contact at the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows something other than this
+    sensor's skin.
     """
 
     height_mm: F32
@@ -47,15 +40,8 @@ class Inverse:
 
 
 class LearnedInverse:
-    """A network prepared for one sensor.
-
-    Parameters
-    ----------
-    network : Network
-    geometry : Geometry
-    pitch_px : float
-    reference_white : float32 (cells, cells), 0 to 1
-        Share of white of the unloaded skin, on `disc_map.map_grid`.
+    """A network prepared for one sensor; `reference_white` is the share of white of the unloaded skin on
+    `disc_map.map_grid`.
     """
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -77,18 +63,8 @@ class LearnedInverse:
 
 
 class LearnedSolver:
-    """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's cells.
-
-    Parameters
-    ----------
-    preprocessor : Preprocessor
-    network : Network
-        ValueError if None.
-
-    Attributes
-    ----------
-    reference : float32 (cells, cells), 0 to 1
-        Share of white of the unloaded skin, as the network receives it.
+    """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's cells; `reference`
+    is the share of white of the unloaded skin, as the network receives it. ValueError without a network.
     """
 
     has_shear = True

@@ -17,16 +17,7 @@ from tacshade_edge.types import F32, Geometry
 
 
 class LearnedShear:
-    """The network of shear, prepared for one sensor.
-
-    Parameters
-    ----------
-    network : ShearNetwork
-    geometry : Geometry
-    pitch_px : float
-    reference_white : float32 (N, N), 0 to 1
-        Share of white of the unloaded skin, on `disc_map.map_grid`.
-    """
+    """The network of shear, prepared for one sensor; `reference_white` is as for `LearnedInverse`."""
 
     def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
@@ -34,15 +25,8 @@ class LearnedShear:
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
-        """Compute shear along x and y in mm: float32 (cells, cells, 2), finite.
-
-        Parameters
-        ----------
-        white : float32 (N, N), 0 to 1
-            Share of white of a frame.
-        cells : int
-        features : list, optional
-            Receives the frame's features.
+        """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N); features go
+        to `features`.
         """
         folded = fold(white[None], self._network.fold)
         if features is None or self._network.run_touch is None:

@@ -34,22 +34,9 @@ _CONTACT_RANGE, _UNTRUSTED_RANGE = (-2.0, 8.0), (-12.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SigmaModel:
-    """The errors of a network. Scale 1 is the mean of sensors of the family that it was trained on.
-
-    Attributes
-    ----------
-    weights : tuple of float
-        Weights of `TERMS`.
-    scale_without_presses : float
-        Error scale of a sensor with only references: that of the other family.
-    press_offset, press_slope : float
-        For a sensor with presses off by q σ of scale 1 (`core.calibration.refit.error_scale`): log scale = press_offset
-        + press_slope · log q.
-
-    Raises
-    ------
-    ValueError
-        The number of weights is wrong, a number is not finite, or the scale is not above 0.
+    """The errors of a network: weights of `TERMS`; the error scale of a sensor with only references, that of the other
+    family (1 is the mean of the family trained on); log scale = press_offset + press_slope · log q for one whose
+    presses are off by q σ of scale 1 (`refit.error_scale`). Raises ValueError on numbers that cannot be.
     """
 
     weights: tuple[float, ...]
@@ -64,17 +51,8 @@ class SigmaModel:
 
 
 def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry) -> F32:
-    """The x_i of the chosen cells, float32 (N, len(TERMS)), finite.
-
-    Parameters
-    ----------
-    height_mm : float32 (cells, cells)
-        Height h on `disc_map.map_grid`, finite and not below 0; NaN or 0 outside the disc.
-    contact_logit : float32 (cells, cells)
-    untrusted_logit : float32 (M, M)
-    where : bool (cells, cells)
-        The chosen cells.
-    geometry : Geometry
+    """The x_i of the chosen cells, (N, len(TERMS)), finite; heights on `disc_map.map_grid` are NaN or 0 outside the
+    disc.
     """
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))

@@ -14,24 +14,11 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
-    """x, y and z of the skin along the camera's rays, as separate planes.
+    """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN stays NaN.
 
     The paper's eq. 2 gives z from (x, y) under an orthographic camera. A pinhole's ray meets the sphere of radius r - h
     twice; the skin is the farther root. A radicand below zero (a height that its ray cannot reach) counts as 0, which
     gives the ray's point nearest to the sphere.
-
-    Parameters
-    ----------
-    height_mm : float32 (...)
-        Height h, at most r; NaN stays NaN.
-    rays : DiscRays
-        With the shape of `height_mm`.
-    geometry : Geometry
-
-    Returns
-    -------
-    float32 (3, ...)
-        mm.
     """
     rho = np.float32(geometry.skin_radius_mm) - height_mm
     u, v = rays.u, rays.v
@@ -54,18 +41,8 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
-    """Find the cells whose rays pass nearest to points of the skin: the inverse of `skin_points` without the heights.
-
-    Parameters
-    ----------
-    points_mm : float32 (N, 3)
-        In the sensor frame; points outside the grid are ignored.
-    grid : Grid
-    geometry : Geometry
-
-    Returns
-    -------
-    bool (grid.rows, grid.cols)
+    """Cells whose rays pass nearest to points (N, 3) of the skin, the inverse of `skin_points` without the heights;
+    points outside the grid are ignored.
     """
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
@@ -80,17 +57,8 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:
-    """Compute the area of skin that each cell of a grid of points covers.
-
-    Parameters
-    ----------
-    planes_mm : float32 (3, rows, cols)
-        From `skin_planes`.
-
-    Returns
-    -------
-    float32 (rows, cols)
-        mm², by central differences; 0 where a neighbour is NaN.
+    """Area of skin that each cell of a grid of points (`skin_planes`) covers, by central differences; 0 where a
+    neighbour is NaN.
     """
     along, across = (_steps(planes_mm, axis) for axis in (2, 1))
     # Component i of a cross product combines components i + 1 and i + 2.
@@ -102,13 +70,7 @@ def cell_area_mm2(planes_mm: F32) -> F32:
 
 
 def _steps(planes: F32, axis: int) -> F32:
-    """Differences of neighbours along an axis like ``np.gradient``, which takes four times as long.
-
-    Returns
-    -------
-    float32 (5, rows, cols)
-        Differences of x, y, z, x, y.
-    """
+    """Differences (5, rows, cols) of neighbours' x, y, z, x, y like ``np.gradient``, which takes four times as long."""
     steps = np.zeros((5, *planes.shape[1:]), np.float32)
     lines, out = planes.swapaxes(0, axis), steps[:3].swapaxes(0, axis)
     if len(lines) > 1:

@@ -69,14 +69,8 @@ def _cells(first: int, size: int, step: int) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscRays:
-    """The ray of each cell of a grid.
-
-    Attributes
-    ----------
-    inside : bool (rows, cols)
-        Cells whose pixel lies in the visible disc.
-    u, v : float32 (rows, cols)
-        Pinhole: slope of the ray in x and y (mm per mm of z). Orthographic: x and y of the ray in mm.
+    """The ray of each cell of a grid, and whether its pixel lies in the visible disc. u, v are the slope of a pinhole's
+    ray (mm per mm of z); orthographic, the ray's x and y in mm.
     """
 
     inside: Bool
@@ -92,12 +86,7 @@ class DiscRays:
 
 
 def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
-    """Pixels whose centre lies in the visible circle (the paper's circular mask).
-
-    Returns
-    -------
-    bool (height_px, width_px)
-    """
+    """Pixels whose centre lies in the visible circle (the paper's circular mask)."""
     rows = np.arange(height_px)[:, None] - disc.row_c
     cols = np.arange(width_px)[None, :] - disc.col_c
     mask: Bool = rows * rows + cols * cols <= disc.radius_px**2

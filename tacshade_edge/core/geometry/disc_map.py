@@ -22,14 +22,10 @@ def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
-    """Compute what is known of a sensor at each cell before any frame.
-
-    Returns
-    -------
-    float32 (6, cells, cells)
-        Position x and y in disc radii; shift in x and y of the image of a skin point that moves by one disc radius (in
-        mm) towards the camera along its axis, in disc radii; cosine between the camera's ray and the undeformed skin's
-        normal; marker pitch in tenths of the disc's radius.
+    """What is known of a sensor at each cell before any frame, (6, cells, cells): x and y in disc radii; shift in x and
+    y of the image of a skin point that moves by one disc radius (in mm) towards the camera along its axis, in disc
+    radii; cosine between the camera's ray and the undeformed skin's normal; marker pitch in tenths of the disc's
+    radius.
     """
     disc = geometry.disc
     axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)

@@ -33,18 +33,8 @@ def rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
 
 
 def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, ...]) -> Disc:
-    """Compute the visible circle from three points of its rim.
-
-    Parameters
-    ----------
-    points_px : sequence of three (row, col)
-    shape : tuple of int
-        Rows and columns of the image.
-
-    Raises
-    ------
-    ConfigError
-        The points make no circle, or one that cannot be the visible one.
+    """The visible circle from three points (row, col) of its rim. Raises ConfigError if they make none that can be
+    it.
     """
     for row, col in points_px:
         if not (-0.5 <= row <= shape[0] - 0.5 and -0.5 <= col <= shape[1] - 0.5):

@@ -40,17 +40,8 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """The beginning of a motion.
-
-    Attributes
-    ----------
-    start : Patches
-        The patches at the beginning.
-    middle_mm : float64 (3,)
-        Mean place of these patches.
-    observed, unobserved : float64 (6, k), (6, 6 - k)
-        Orthonormal directions of a small motion about the middle: three components of translation, three of rotation
-        times `LEVER_MM`.
+    """The beginning of a motion: its patches, their mean place, and orthonormal directions (6, k), (6, 6 - k) of a
+    small motion about it: three components of translation, three of rotation times `LEVER_MM`.
     """
 
     start: Patches
@@ -61,16 +52,8 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkMotion:
-    """The motion since a link's beginning.
-
-    Attributes
-    ----------
-    rotation : float64 (3, 3)
-    translation_mm : float64 (3,)
-        Translation of the link's middle.
-    covariance : float64 (6, 6)
-        Of a small motion after it, about the moved middle: translation in mm, rotation in rad; without unobserved
-        directions.
+    """The motion since a link's beginning: rotation (3, 3), translation of the link's middle, and the covariance (6, 6)
+    of a small motion after it, about the moved middle: mm, rad, without unobserved directions.
     """
 
     rotation: F64

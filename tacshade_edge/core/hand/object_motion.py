@@ -46,14 +46,8 @@ _SCALE = np.array([1.0] * 3 + [LEVER_MM] * 3)
 
 @dataclass(frozen=True, slots=True)
 class Unobserved:
-    """A motion that the patches do not show: a rotation about a line, or a translation along it.
-
-    Attributes
-    ----------
-    axis : 3 floats
-        Unit vector.
-    through_mm : 3 floats or None
-        A point of the line; None for a translation.
+    """A motion that the patches do not show: a rotation about a line through a point along a unit vector, or a
+    translation (no point).
     """
 
     axis: tuple[float, float, float]
@@ -62,22 +56,9 @@ class Unobserved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMotion:
-    """A point of the object at p in the hand's frame at the grasp is now at R (p - about) + about + translation.
-
-    Attributes
-    ----------
-    since_ns : int
-        Time of the grasp.
-    about_mm : float64 (3,)
-        A point amid the patches.
-    translation_mm : float64 (3,)
-        Translation of that point.
-    rotation_rad : float64 (3,)
-        Rotation vector of R.
-    covariance : float64 (6, 6)
-        Covariance of the translation in mm and a small rotation after R in rad.
-    unobserved : tuple of Unobserved
-        Motions with a large deviation in the covariance, and 0 in the motion.
+    """A point of the object at p in the hand's frame at the grasp, `since_ns`, is now at R (p - about) + about +
+    translation, with R of a rotation vector; the covariance (6, 6) is of the translation in mm and a small rotation
+    after R in rad. Unobserved motions have a large deviation there, and are 0 here.
     """
 
     since_ns: int

@@ -14,24 +14,8 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """One contact of one finger; vectors along the hand's axes.
-
-    Attributes
-    ----------
-    place_mm : 3 floats
-        Mean place of its points.
-    normal : 3 floats
-        Unit normal, from the finger into the object.
-    axis : 3 floats
-        The finger's z axis: shear is perpendicular to it, and twist is about it.
-    shear_mm : 3 floats
-        Mean shear of its skin.
-    depth_mm : float
-        Greatest h.
-    twist_deg : float or None
-        None if the contact is too small.
-    slips : bool
-        Whether the object slides over it.
+    """One contact of one finger; vectors along the hand's axes: mean place, unit normal into the object, the finger's z
+    axis (shear is perpendicular to it, twist about it, None if the contact is too small), mean shear, greatest h.
     """
 
     place_mm: Triple
@@ -45,12 +29,8 @@ class Patch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Several patches as arrays, one row each: `place_mm`, `normal`, `axis`, `shear_mm` (n, 3), the others (n,).
-
-    Attributes
-    ----------
-    twist_rad : float64 (n,)
-        NaN if unknown.
+    """Several patches as arrays, one row each: `place_mm`, `normal`, `axis`, `shear_mm` (n, 3), the others (n,); an
+    unknown twist is NaN.
     """
 
     place_mm: F64

@@ -49,16 +49,8 @@ _FRAME_MM = np.array((0.2, 0.5))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundFlange:
-    """The result of `find_flange`.
-
-    Attributes
-    ----------
-    flange_T_sensor : Rigid
-    delay_ms : float
-    covariance : float64 (7, 7)
-        In the units and the order of `ORDER`.
-    left_mm : float
-        RMS of the remaining height differences at one place.
+    """The result of `find_flange`: pose, delay, covariance (7, 7) in the order of `ORDER`, and RMS of the height
+    differences left.
     """
 
     flange_T_sensor: Rigid
@@ -71,25 +63,9 @@ class FoundFlange:
 
 
 def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> FoundFlange:
-    """Find the sensor's pose on the flange and the delay.
-
-    Parameters
-    ----------
-    frames : sequence of ContactFrame
-        At least one; frames of a press adjacent.
-    start : Rigid
-        ``flange_T_sensor`` within 10 mm and 10 degrees.
-    skin_radius_mm : float
-
-    Returns
-    -------
-    FoundFlange
-        Quantities that the presses do not show keep the start's standard deviation: 10 mm, 10 degrees, 100 ms.
-
-    Raises
-    ------
-    ConfigError
-        The presses face in opposite directions.
+    """Find the sensor's pose on the flange, within 10 mm and 10 degrees of the start, and the delay; frames of a press
+    are adjacent. What the presses do not show keeps the start's standard deviation: 10 mm, 10 degrees, 100 ms. Raises
+    ConfigError if presses face in opposite directions.
     """
     problem = FlangeProblem(frames, start, skin_radius_mm)
     now = Estimate(

@@ -36,18 +36,9 @@ _RIDGE = 1e-9  # relative to the weights: a few points in one place do not defin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactFrame:
-    """One frame in contact.
-
-    Attributes
-    ----------
-    points : float64 (N, 4)
-        `refinement.thin_points`, in the sensor frame; N >= 1.
-    press : int
-        From 0, never decreasing from frame to frame: frames of one contact share the robot's error.
-    t_ns : int
-        Time of the frame.
-    track : tuple of Pose
-        ``base_T_flange`` around that time, in order; a single one if the robot stood still.
+    """One frame in contact: `refinement.thin_points` (N, 4) in the sensor frame; the number of its press, from 0, never
+    decreasing (frames of one share the robot's error); its time; ``base_T_flange`` around it, in order, a single one if
+    the robot stood still.
     """
 
     points: F64
@@ -58,18 +49,9 @@ class ContactFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """The unknowns.
-
-    Attributes
-    ----------
-    flange_T_sensor : Rigid
-    delay_ms : float
-    own : float64 (OWN_TERMS,)
-        The sensor's own errors, mm at 10 mm from the axis.
-    presses : float64 (presses, 6)
-        Correction of each press: mm in the upright axes, and a turn about the apex in rad.
-    frames_mm : float64 (frames, FRAME_TERMS)
-        Correction of each frame in height: everywhere, and at 10 mm from the contact's middle.
+    """The unknowns: the sensor's own errors (OWN_TERMS,) in mm at 10 mm from the axis; of each press (presses, 6) mm in
+    the upright axes, and a turn about the apex in rad; of each frame (frames, FRAME_TERMS) mm in height, everywhere and
+    at 10 mm from the contact's middle.
     """
 
     flange_T_sensor: Rigid
@@ -92,16 +74,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Normal equations of the weighted residuals, without the surface and without priors.
-
-    Attributes
-    ----------
-    matrix : float64 (K, K)
-    right : float64 (K,)
-    considered : float64 (K, CONSIDERED)
-        The part of each considered error that looks like the unknowns.
-    left_mm : float
-        RMS of the remaining differences.
+    """Normal equations (K, K), (K,) of the weighted residuals, without the surface and without priors; the part (K,
+    CONSIDERED) of each considered error that looks like the unknowns; RMS of the remaining differences.
     """
 
     matrix: F64
@@ -111,19 +85,8 @@ class NormalEquations:
 
 
 class FlangeProblem:
-    """All points of all frames, ready to place.
-
-    Parameters
-    ----------
-    frames : sequence of ContactFrame
-    start : Rigid
-        ``flange_T_sensor``; it defines the upward direction, against the sensor's mean axis, in any base frame.
-    skin_radius_mm : float
-
-    Raises
-    ------
-    ConfigError
-        The presses face in opposite directions.
+    """All points of all frames, ready to place. The start defines the upward direction, against the sensor's mean axis,
+    in any base frame; ConfigError if presses face in opposite directions.
     """
 
     def __init__(self, frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> None:
@@ -145,17 +108,8 @@ class FlangeProblem:
         self._upright = _upright(-axes.mean(axis=0))
 
     def equations(self, now: Estimate, cell_mm: float, sigma_mm: float, *, joint: bool) -> NormalEquations:
-        """Linearise about an estimate.
-
-        Parameters
-        ----------
-        now : Estimate
-        cell_mm : float
-            0 takes the surface as one quadratic function.
-        sigma_mm : float
-            Standard deviation of heights at one place.
-        joint : bool
-            Whether presses and frames have their own errors.
+        """Linearise about an estimate, for heights of deviation `sigma_mm` at one place; `cell_mm` 0 takes the surface
+        as one quadratic function, `joint` gives presses and frames their own errors.
         """
         from scipy import sparse  # a daemon does not need it
 
@@ -214,17 +168,8 @@ class FlangeProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Placed:
-    """The placed points.
-
-    Attributes
-    ----------
-    at, lever : float64 (N, 3)
-        Place in the upright axes, and relative to the apex of its press; mm.
-    base_R_flange : float64 (N, 3, 3)
-    arm : float64 (N, 3)
-        Relative to the sensor's origin, in the flange's axes.
-    per_ms : float64 (N, 3)
-        Movement with the delay, mm per ms.
+    """The placed points (N, 3): place in the upright axes, and relative to the apex of its press; ``base_R_flange``;
+    relative to the sensor's origin, in the flange's axes; movement with the delay.
     """
 
     at: F64

@@ -18,7 +18,6 @@ _SPREAD_DEG = 3.0
 
 def unseen(frames: Sequence[ContactFrame], start: Rigid, found: FoundFlange) -> str:
     """What cannot be determined, why, and what was expected, as one line; empty if the place on the flange is known.
-
     The directions are the eigenvectors of the covariance of translation and of rotation, named after the nearest axis
     of the flange.
     """

@@ -13,18 +13,9 @@ _SLOPE_MAX = 2.0  # mm per mm; a steeper slope between two cells is a step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverlapCells:
-    """The cells of a set of points.
-
-    Attributes
-    ----------
-    of_point : int64 (N,)
-        Cell of each point, from 0.
-    count : int
-        Number of cells with a point.
-    slope : float64 (N, 2)
-        Slope of the points' mean surface along x and y in each point's cell, mm per mm.
-    height_mm : float64 (N,)
-        z that each point gives to the middle of its cell, with the slope removed.
+    """The cells of a set of points: the cell of each, from 0; the number of cells with a point; the slope (N, 2) along
+    x and y of the points' mean surface in each point's cell; z that each point gives to the middle of its cell, with
+    the slope removed.
     """
 
     of_point: I64

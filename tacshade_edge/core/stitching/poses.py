@@ -27,10 +27,9 @@ class InterpolatedPose:
 
 
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
-    """The pose at `t_ns` in a uniform motion and rotation from `a` to `b`, extrapolated beyond them.
-
-    The rotation takes the shorter way (q and -q are equal); `a` and `b` must not have the same time. Two equal poses
-    give that pose to the last bit, so that a robot at rest is at one place, whichever two poses are used.
+    """The pose at `t_ns` in a uniform motion and rotation, the shorter way, from `a` to `b` (at another time),
+    extrapolated beyond. Two equal poses give that pose to the last bit: a robot at rest is at one place, whichever two
+    poses are used.
     """
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
@@ -52,12 +51,8 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
 
 
 class PoseBuffer:
-    """The latest poses in order of time, all of one clock; for one thread at a time.
-
-    Attributes
-    ----------
-    late : int
-        Number of poses dropped because they were not later than the previous one.
+    """The latest poses in order of time, all of one clock; for one thread at a time. `late` counts those dropped
+    because they were not later than the previous one.
     """
 
     def __init__(self) -> None:
@@ -79,9 +74,8 @@ class PoseBuffer:
         self._poses.clear()
 
     def at(self, t_ns: int) -> InterpolatedPose | None:
-        """The pose at a time; None if it is not known well enough.
-
-        It must be between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest.
+        """The pose at a time between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the
+        newest; else None.
         """
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:

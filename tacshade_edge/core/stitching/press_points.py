@@ -29,15 +29,8 @@ _LATERAL_RATIO = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressPoints:
-    """The contact's skin points of one press, in the sensor frame.
-
-    Attributes
-    ----------
-    points_mm : float32 (N, 3)
-    normals : float32 (N, 3)
-        Outward unit normals of the skin at the points.
-    confidence : float32 (N,)
-        Above 0, up to 1.
+    """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit normals there, and a
+    confidence above 0, up to 1.
     """
 
     points_mm: F32
@@ -52,14 +45,7 @@ NO_POINTS = PressPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float3
 
 
 def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
-    """Select the contact's skin points, row by row.
-
-    Parameters
-    ----------
-    height : HeightMap
-    geometry : Geometry
-        Geometry of the calibration that made the map.
-    """
+    """Select the contact's skin points, row by row, from a map made with a calibration of this geometry."""
     box = bounding_box(height.contact)
     if box is None:
         return NO_POINTS
@@ -87,9 +73,8 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
 
 
 def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
-    """Weight of each point's z in the base frame, (N,): its confidence, reduced by the slope.
-
-    This is the inverse variance of the height of a point that is `_LATERAL_RATIO` times as uncertain sideways.
+    """Weight of each point's z in the base frame: its confidence, reduced by the slope to the inverse variance of the
+    height of a point that is `_LATERAL_RATIO` times as uncertain sideways.
     """
     cosine = np.abs(press.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - cosine**2) / np.maximum(cosine, 1e-3) ** 2

@@ -49,12 +49,8 @@ class PoseError:
 
 
 def thin_points(press: PressPoints) -> F64:
-    """Reduce a press to one point for each small square (`CELL_MM`), at most `POINTS_MAX`.
-
-    Returns
-    -------
-    float64 (N, 4)
-        x, y, z of the means in mm, and their weights up to 1.
+    """Reduce a press to one point for each small square (`CELL_MM`), at most `POINTS_MAX`: (N, 4), x, y, z of the means
+    in mm, and their weights up to 1.
     """
     points = press.points_mm.astype(np.float64)
     cell = np.floor(points[:, :2] / CELL_MM).astype(np.int64)
@@ -68,22 +64,9 @@ def thin_points(press: PressPoints) -> F64:
 
 
 def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError) -> list[Rigid]:
-    """Find the poses at which the presses agree best.
-
-    Parameters
-    ----------
-    presses : sequence of float64 (N, 4)
-        `thin_points` of each press, in the sensor frame.
-    reported : sequence of Rigid
-        ``base_T_sensor`` as the robot reported it.
-    centre_mm : float64 (3,)
-        Centre of the rotation errors in the sensor frame, the undeformed apex.
-    error : PoseError
-
-    Returns
-    -------
-    list of Rigid
-        ``base_T_sensor``. A press that overlaps no other keeps its pose.
+    """Find ``base_T_sensor`` at which the presses (`thin_points`, in the sensor frame) agree best, from those that the
+    robot reported; a press that overlaps no other keeps its own. Rotation errors turn about `centre_mm`, the undeformed
+    apex.
     """
     if len(presses) < 2:
         return list(reported)
@@ -101,22 +84,9 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
 
 
 def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64) -> float:
-    """Estimate the part of the refined poses' moves that corrects the robot's errors.
-
-    The variance of the moves in height, less the typical share of the reconstruction's own errors, over the whole (a
-    component of variance, as Paule and Mandel estimate it); 0 if those errors may explain all of it.
-
-    Parameters
-    ----------
-    presses, reported, centre_mm
-        As in `refine_poses`.
-    refined : sequence of Rigid
-        Result of `refine_poses`.
-
-    Returns
-    -------
-    float
-        0 to below 1. Only heights decide, because overlaps measure them best.
+    """Estimate the part (0 to below 1) of the refined poses' moves that corrects the robot's errors: the variance of
+    the moves in height, which overlaps measure best, less the typical share of the reconstruction's own errors, over
+    the whole (a component of variance, as Paule and Mandel estimate it); 0 if those errors may explain all of it.
     """
     press_of, points = _joined(presses)
     at, _ = _placed(points, press_of, refined, centre_mm)

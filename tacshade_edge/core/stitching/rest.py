@@ -20,16 +20,8 @@ class RestDetector:
         self._fired = True
 
     def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Take the next frame, and return whether the contact has just come to rest.
-
-        Parameters
-        ----------
-        t_ns : int
-            Time of the frame.
-        contact : bool
-            Whether the frame is valid and in contact; any other frame ends the contact.
-        depth_mm : float
-            Greatest depth of the contact.
+        """Take the next frame (an invalid one counts as without contact, which ends it), and return whether the contact
+        has just come to rest.
         """
         if not contact:
             self._fired, self._since_ns = False, 0

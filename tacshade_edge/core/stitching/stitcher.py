@@ -37,18 +37,8 @@ CORRECTION_MAX_SIGMAS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class PlacedPress:
-    """One press in a finished map.
-
-    Attributes
-    ----------
-    base_T_sensor : Rigid
-        The pose found, or the reported one if poses are exact.
-    correction_mm, correction_deg : float
-        Change from the reported pose, at the apex.
-    rejected : Reason or None
-        Why its points are not in the map; None if they are.
-    points : int
-        Number of its points.
+    """One press in a finished map: the pose found, or the reported one if poses are exact; the change from the reported
+    one at the apex; why its points are not in the map, if they are not; their number.
     """
 
     base_T_sensor: Rigid
@@ -60,16 +50,8 @@ class PlacedPress:
 
 @dataclass(frozen=True, slots=True)
 class StitchedMap:
-    """A finished map.
-
-    Attributes
-    ----------
-    raster : Raster
-    presses : tuple of PlacedPress
-    disagreement_mm : float
-        RMS of the moves in height that would make presses agree; 0 if poses were given as exact.
-    refined : bool
-        Whether presses were moved because the poses were not taken as exact.
+    """A finished map: its raster and presses; RMS of the moves in height that would make presses agree (0 if poses were
+    given as exact); whether presses were moved because their poses were not taken as exact.
     """
 
     raster: Raster
@@ -92,12 +74,8 @@ class _Press:
 
 
 class Stitcher:
-    """Collects presses; the map so far is available at any time, the refined one at the end.
-
-    Parameters
-    ----------
-    apex_mm : float
-        The skin's radius, which is z of the undeformed apex in the sensor frame.
+    """Collects presses; the map so far is available at any time, the refined one at the end. `apex_mm` is the skin's
+    radius.
     """
 
     def __init__(self, apex_mm: float) -> None:
@@ -117,12 +95,8 @@ class Stitcher:
         return self._points
 
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
-        """Add a press at its reported pose; the cost does not grow with the map.
-
-        Raises
-        ------
-        ValueError
-            The press has no points, or the map is full (`POINTS_MAX`, `surface_map.TILES_MAX`); nothing is added.
+        """Add a press at its reported pose; the cost does not grow with the map. Raises ValueError, and adds nothing,
+        if the press has no points or the map is full (`POINTS_MAX`, `surface_map.TILES_MAX`).
         """
         count = len(points.points_mm)
         if count == 0:
@@ -137,12 +111,8 @@ class Stitcher:
         self._points += count
 
     def finish(self, error: PoseError | None = PoseError()) -> StitchedMap:  # noqa: B008 (frozen)
-        """Find the poses, leave out presses that do not fit, and fuse again without outlying points.
-
-        Parameters
-        ----------
-        error : PoseError or None
-            Error of the robot's poses if they are not exact; None takes them as exact.
+        """Find the poses, whose error by the robot is `error` (None: they are exact), leave out presses that do not
+        fit, and fuse again without outlying points.
         """
         reported, disagreement_mm = [p.reported for p in self._presses], 0.0
         poses, part = reported, 0.0

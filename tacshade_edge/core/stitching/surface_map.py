@@ -26,14 +26,8 @@ MIN_WEIGHT = 0.07
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Raster:
-    """A map as one array.
-
-    Attributes
-    ----------
-    z_mm : float32 (rows, cols)
-        In the base frame; NaN where no press touched.
-    x0_mm, y0_mm, step_mm : float
-        Row i is at y0 + i step, column j at x0 + j step.
+    """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step; NaN where no press
+    touched.
     """
 
     z_mm: F32
@@ -90,14 +84,7 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heights:
-    """The z of a map's nodes, in a quarter of the map's memory.
-
-    Attributes
-    ----------
-    tiles : dict of (int, int) to float32 (TILE, TILE)
-        mm; NaN at holes.
-    step_mm : float
-    """
+    """The z of a map's nodes, in a quarter of the map's memory: tiles (TILE, TILE) by their place, NaN at holes."""
 
     tiles: dict[tuple[int, int], F32]
     step_mm: float
@@ -120,19 +107,10 @@ class SurfaceMap:
     """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes around it.
 
     The map keeps running sums of weight and weight · z, as in Curless and Levoy, "A volumetric method for building
-    complex models from range images", SIGGRAPH 1996. Nodes without a point stay holes.
-
-    Parameters
-    ----------
-    step_mm : float
-    bounded : bool
-        False for points that were already in a bounded map.
-
-    Raises
-    ------
-    ValueError
-        From `add`: a point is not finite, points lie more than `PRESS_WIDTH_MAX_MM` apart, or the map would get more
-        than `TILES_MAX` tiles or spread over more than `EXTENT_MAX_TILES`; nothing is then added.
+    complex models from range images", SIGGRAPH 1996. Nodes without a point stay holes. `add` raises ValueError, and
+    adds nothing, if a point is not finite, points lie more than `PRESS_WIDTH_MAX_MM` apart, or the map would get more
+    than `TILES_MAX` tiles or spread over more than `EXTENT_MAX_TILES`; it does not bound points that were already in a
+    bounded map.
     """
 
     def __init__(self, step_mm: float = STEP_MM, *, bounded: bool = True) -> None:
@@ -191,12 +169,8 @@ class SurfaceMap:
         return Heights(tiles, self.step_mm)
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
-        """The map's bounding box as one array; a single empty cell before the first contact.
-
-        Parameters
-        ----------
-        min_weight : float
-            Least weight of a cell; others become holes.
+        """The map's bounding box as one array, with cells below `min_weight` as holes; one empty cell before the first
+        contact.
         """
         known = {at: weight >= min_weight for at, (weight, _) in self._tiles.items()}
         known = {at: cells for at, cells in known.items() if cells.any()}

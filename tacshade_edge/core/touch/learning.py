@@ -1,11 +1,8 @@
 """Learn the touch model in closed form from a table of labelled frames: no gradient descent, no random numbers.
 
 Kernel width and regularisation minimise the error on held-out groups of frames, which a linear model gives without
-another fit ([1] eq. 5.12 for one frame, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
-
-References
-----------
-[1] C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
+another fit (C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press, 2006, eq. 5.12 for
+one frame, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
 """
 
 from __future__ import annotations
@@ -56,24 +53,9 @@ CONTRADICTS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class QuantityReport:
-    """The quality of the answers for held-out frames.
-
-    Attributes
-    ----------
-    name : str
-    rows : int
-        Number of rows with a label.
-    error : float
-        Mean absolute error.
-    r2 : float
-    coverage_90 : float
-        Part of the labels in the 90 % interval.
-    error_twice, error_four_times : float
-        Expected errors with twice and four times the labels, by the error's power law in their number.
-    seen : bool
-        Whether the model answers the quantity.
-    contradicting : tuple of int
-        Rows that contradict the others.
+    """The quality of the answers for held-out frames: the number of labelled rows, the mean absolute error, R², the
+    part of the labels in the 90 % interval, the errors expected with twice and four times the labels (by the error's
+    power law in their number), whether the model answers the quantity, and the rows that contradict the others.
     """
 
     name: str
@@ -113,9 +95,8 @@ class _Space:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Functions of the coordinates, uncorrelated over the table.
-
-    `values` is (n, K), `power` (K,) the sums of its squares, `unreached` (n,) the kernel's variance beyond the centres.
+    """Functions (n, K) of the coordinates, uncorrelated over the table, the sums (K,) of their squares, and the
+    kernel's variance (n,) beyond the centres.
     """
 
     width: float
@@ -128,9 +109,8 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise.
-
-    The variance is NaN for rows that do not represent other frames.
+    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN for
+    rows that do not represent other frames).
     """
 
     rows: I64
@@ -156,21 +136,9 @@ class _Imprint:
 
 
 def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
-    """Learn a touch model.
-
-    Parameters
-    ----------
-    features : float32 (n, D)
-    imprints : float32 (n, I)
-        See `imprint_of`.
-    names : sequence of str
-        Names of the quantities.
-    labels : float64 (n, Q)
-        NaN if a frame has no label; each quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups.
-    groups : int64 (n,)
-        Frames of one press share a number, and are held out together.
-    networks : str
-        See `TouchModel`.
+    """Learn a touch model from features (n, D), imprints (n, I), and labels (n, Q), NaN if a frame has none; each
+    quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a group, held out
+    together.
     """
     space = _space(features)
     tried = []
@@ -382,9 +350,8 @@ def _exponent(basis: _Basis, labels: F64, groups: I64, error: float) -> float:
 def _judged(
     features: F32, labels: F64, groups: I64, width: float, solved: Sequence[_Solved]
 ) -> tuple[tuple[float, float], list[_Solved]]:
-    """Limits of leverage and residual for frames like the table's, and `solved` with a small table's held-out values.
-
-    They are of frames held out before the components were found, because components of few frames fit these too well.
+    """Limits of leverage and residual for frames like the table's, and `solved` with a small table's held-out values,
+    of frames held out before the components were found, because components of few frames fit these too well.
     """
     chosen = np.linspace(0, len(features) - 1, min(FOLDED_ROWS, len(features))).astype(int)
     whole = len(chosen) == len(features)

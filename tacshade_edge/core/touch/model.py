@@ -2,11 +2,8 @@
 
 The features are pooled activations of the networks (`inference.network.touch_networks`). Their principal components
 enter a Gaussian process with a linear and a squared-exponential kernel, reduced to few enough centres that a frame
-costs two small matrix products (subset of regressors, [1] section 8.3). `learning` fits it in closed form.
-
-References
-----------
-[1] C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
+costs two small matrix products (subset of regressors: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for
+Machine Learning, MIT Press, 2006, section 8.3). `learning` fits it in closed form.
 """
 
 from __future__ import annotations
@@ -30,14 +27,7 @@ Floats = TypeVar("Floats", F32, F64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """A model's answer to one frame's features.
-
-    Attributes
-    ----------
-    values, sigma : float64 (Q,)
-    alike : bool
-        Whether the frame is like those of the table.
-    """
+    """A model's answer (Q,) to one frame's features, and whether the frame is like those of the table."""
 
     values: F64
     sigma: F64

@@ -46,9 +46,8 @@ def sphere(radius_mm: float) -> Shape:
 
 
 def lathed(name: str, outline_mm: Sequence[tuple[float, float]], rounding_mm: float = 2.0) -> Shape:
-    """A solid of revolution about x from the corners (x, distance from x) of its outline, with convex edges rounded.
-
-    The rounding is added around the outline and removes nothing.
+    """A solid of revolution about x from the corners (x, distance from x) of its outline; the rounding of convex edges
+    is added around it and removes nothing.
     """
     upper = list(outline_mm)
     profile = polygon([*upper, *((x, -rho) for x, rho in reversed(upper))])

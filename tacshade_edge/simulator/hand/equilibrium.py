@@ -27,15 +27,7 @@ _TOLERANCE = 0.01  # of the sum of all normal loads and the external force
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wrench:
-    """A force and a torque on an object.
-
-    Attributes
-    ----------
-    force_mm3 : float64 (3,)
-        Force over kn, in the hand's frame.
-    torque_mm4 : float64 (3,)
-        Torque over kn, about the object's origin.
-    """
+    """A force and a torque on an object, about its origin, over kn, in the hand's frame."""
 
     force_mm3: F64
     torque_mm4: F64
@@ -43,16 +35,7 @@ class Wrench:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """An object in equilibrium.
-
-    Attributes
-    ----------
-    hand_T_object : Rigid
-    felts : tuple of Felt
-        The contact of each finger.
-    residual : Wrench
-        The unbalanced load.
-    """
+    """An object in equilibrium: its pose, the contact of each finger, and the unbalanced load."""
 
     hand_T_object: Rigid
     felts: tuple[Felt, ...]
@@ -81,24 +64,8 @@ def equilibrium(
     outside: Wrench,
     mu: float,
 ) -> Rest | None:
-    """Find the equilibrium near a placement.
-
-    Parameters
-    ----------
-    fingers : sequence of Finger
-    body : Shape
-    start : Placement
-    grips : sequence of Grip or None
-        The grip of each finger, as `Felt.grip`.
-    outside : Wrench
-        The external load on the object.
-    mu : float
-        Coulomb's coefficient μ.
-
-    Returns
-    -------
-    Rest or None
-        None if friction cannot bear the load, or the object has left the fingers.
+    """Find the equilibrium near a placement, given each finger's grip, the load from outside and Coulomb's μ; None if
+    friction cannot bear the load, or the object has left the fingers.
     """
     places = [start.hand_T_sensor(fingers, k) for k in range(len(fingers))]
 

@@ -38,14 +38,7 @@ class FingerSensor(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finger:
-    """A sensor at its pose while it holds.
-
-    Attributes
-    ----------
-    name : str
-    hand_T_sensor : Rigid
-    sensor : FingerSensor
-    """
+    """A sensor at its pose while it holds."""
 
     name: str
     hand_T_sensor: Rigid
@@ -54,13 +47,8 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """The pose of an object, and how far each finger is retracted from its holding pose.
-
-    Attributes
-    ----------
-    hand_T_object : Rigid
-    back_mm : tuple of float
-        Retraction of each finger, along its own z axis and away from the object. If empty, no finger is retracted.
+    """The pose of an object, and how far each finger is retracted along its own z axis, away from the object (empty:
+    none is).
     """
 
     hand_T_object: Rigid
@@ -74,28 +62,12 @@ class Placement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerTruth:
-    """The ground truth of one finger at one time.
+    """The ground truth of one finger at one time; press, centre of contact, slip and load (along the hand's axes,
+    torque about the skin's centre) are None without contact.
 
-    Attributes
-    ----------
-    name : str
-    hand_T_sensor : Rigid
-        The finger's pose, retracted or not.
-    press : Press or None
-        The press on the finger; None while it touches nothing.
-    centre_mm : float64 (3,) or None
-        Centre of its contact, in the hand's frame.
-    depth_mm : float
-        Greatest h due to the object.
-    stuck : float
-        Part of its contact in which the skin moves with the object; 1 without contact.
-    slip : Slip or None
-        The slip that follows from `stuck`; None without contact.
-    margin : float
-        1 minus the tangential load over μ times the normal load, where a twist's tractions count by their magnitudes;
-        0 if the contact slides as a whole, or without contact.
-    load : Load or None
-        The load along the hand's axes, with its torque about the skin's centre; None without contact.
+    `stuck` is the part of its contact in which the skin moves with the object; 1 without contact. `margin` is 1 minus
+    the tangential load over μ times the normal load, where a twist's tractions count by their magnitudes; 0 if the
+    contact slides as a whole, or without contact.
     """
 
     name: str
@@ -111,15 +83,8 @@ class FingerTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandTruth:
-    """The ground truth of a hand at one time.
-
-    Attributes
-    ----------
-    hand_T_object : Rigid
-    motion : Rigid
-        Motion of the object since the grasp, in the hand's frame: it maps the object's points from their positions at
-        the first finger's touch to their present ones. The identity while nothing touches.
-    fingers : tuple of FingerTruth
+    """The ground truth of a hand at one time. `motion` maps the object's points, in the hand's frame, from where they
+    were at the first finger's touch to where they are; the identity while nothing touches.
     """
 
     hand_T_object: Rigid
@@ -129,14 +94,8 @@ class HandTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """The contact of one finger.
-
-    Attributes
-    ----------
-    truth : FingerTruth
-    skin : Skin
-    grip : Grip or None
-        The state from which the next motion is measured; None while the finger touches nothing.
+    """The contact of one finger, and the state from which the next motion is measured (None while it touches
+    nothing).
     """
 
     truth: FingerTruth
@@ -145,23 +104,8 @@ class Felt:
 
 
 def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid, grip: Grip | None = None) -> Felt:
-    """Press an object on a finger.
-
-    Parameters
-    ----------
-    finger : Finger
-    hand_T_sensor : Rigid
-        The finger's present pose.
-    body : Shape
-        The object, in its own frame.
-    hand_T_object : Rigid
-    grip : Grip, optional
-        The grip of the previous step; without one, the contact begins now.
-
-    Raises
-    ------
-    ValueError
-        The object reaches the middle of the sensor.
+    """Press an object on a finger at its present pose, with the grip of the previous step; without one, the contact
+    begins now. Raises ValueError if the object reaches the middle of the sensor.
     """
     model, now = finger.sensor.model, hand_T_sensor.inverse() @ hand_T_object
     at_mm = contact_centre(body, now, model.skin_radius_mm)
@@ -189,9 +133,8 @@ def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid
 
 
 def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]) -> Iterator[Felt]:
-    """Yield the contact of finger k with a moving object; a resting object costs nothing.
-
-    The placements are steps: the distance slid is accurate to within one of them.
+    """Yield the contact of finger k with a moving object; a resting one costs nothing. The distance slid is accurate to
+    within one placement.
     """
     last: tuple[Placement, Felt] | None = None
     for placement in placements:

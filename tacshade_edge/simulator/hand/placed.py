@@ -28,14 +28,8 @@ _NEAREST = 0.3  # of the skin's radius
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """The memory of a finger's contact.
-
-    Attributes
-    ----------
-    sensor_T_object : Rigid
-        The object's pose when it touched.
-    slid : (float, float, float)
-        How far the object has slid over the skin since: along x and y in mm, and about z in degrees.
+    """The memory of a finger's contact: the object's pose when it touched, and how far it has slid over the skin since,
+    along x and y in mm and about z in degrees.
     """
 
     sensor_T_object: Rigid
@@ -43,9 +37,8 @@ class Grip:
 
 
 def contact_centre(body: Shape, sensor_T_object: Rigid, skin_radius_mm: float) -> F64 | None:
-    """The centre of the object's surface inside the undeformed skin: (3,) mm in the sensor frame.
-
-    None without contact, that is, with less than a millimetre of skin.
+    """The centre (3,) of the object's surface inside the undeformed skin, in the sensor frame; None without contact,
+    that is, with less than a millimetre of skin.
     """
     directions = _looked_at(skin_radius_mm)
     object_T_sensor = sensor_T_object.inverse()
@@ -79,9 +72,8 @@ def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Gri
 
 
 def press_of(body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: tuple[float, float, float]) -> Press:
-    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and a twist.
-
-    The origin of such a press lies on the undeformed skin.
+    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and a twist; the origin
+    of such a press lies on the undeformed skin.
     """
     x, y, _ = at_mm.tolist()
     origin = np.array((x, y, math.sqrt(skin_radius_mm**2 - x * x - y * y)))

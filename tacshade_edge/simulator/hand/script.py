@@ -15,14 +15,8 @@ from tacshade_edge.simulator.hand.held import Placement
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandScript:
-    """Knots of the path of an object and of the fingers, which move straight and steadily between two knots.
-
-    Attributes
-    ----------
-    times_s : tuple of float
-        Times of the knots, increasing.
-    placements : tuple of Placement
-        Placements at these times; everything rests before the first and after the last.
+    """Knots of the path of an object and of the fingers at increasing times; all moves straight and steadily between
+    two knots, and rests before the first and after the last.
     """
 
     times_s: tuple[float, ...]

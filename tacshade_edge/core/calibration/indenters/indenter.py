@@ -1,12 +1,8 @@
 """Place indenters of known shape, other than balls, and compute where their surface lies in a press.
 
 Every shape is a closed surface of triangles. Round sides have `SIDES` flats with corners on the circle, so the surface
-is at most 3e-4 radii inside the true one.
-
-References
-----------
-M. Botsch, L. Kobbelt, M. Pauly, P. Alliez, B. Lévy, "Polygon Mesh Processing", 2010, section 1.3: triangle meshes and
-barycentric coordinates.
+is at most 3e-4 radii inside the true one. (M. Botsch et al., "Polygon Mesh Processing", 2010, section 1.3: triangle
+meshes and barycentric coordinates.)
 """
 
 from __future__ import annotations
@@ -39,13 +35,8 @@ _EDGE, _PAIRS = 1e-9, 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indenter:
-    """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor.
-
-    Attributes
-    ----------
-    name : str
-    triangles_mm : float64 (N, 3, 3)
-        Corners x, y, z of the surface's triangles.
+    """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor; corners (N, 3, 3) of
+    triangles.
     """
 
     name: str
@@ -57,16 +48,8 @@ class Indenter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedIndenter:
-    """An indenter in its place during a press.
-
-    Attributes
-    ----------
-    x_mm, y_mm : float
-        Place of its origin in the sensor frame.
-    depth_mm : float
-        The undeformed skin's z at (x, y) less the z of its lowest point.
-    triangles_mm : float64 (N, 3, 3)
-        Corners in the sensor frame.
+    """An indenter during a press: where its origin is, how far its lowest point is under the undeformed skin there, and
+    its triangles (N, 3, 3), all in the sensor frame.
     """
 
     x_mm: float
@@ -99,12 +82,8 @@ class PlacedIndenter:
         return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
-        """Compute h = r - |S| at the points S where the camera's rays first meet the surface.
-
-        Returns
-        -------
-        float32 (rows, cols)
-            mm, above 0; NaN outside the disc and where the surface is not inside the undeformed skin.
+        """Heights h = r - |S| at the points S where the camera's rays first meet the surface (rows, cols); NaN outside
+        the disc and where the surface is not inside the undeformed skin.
         """
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
         near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
@@ -160,10 +139,9 @@ def place(
     tilt_x_deg: float = 0.0,
     tilt_y_deg: float = 0.0,
 ) -> PlacedIndenter:
-    """Place an indenter as a row of PRESSES.csv states (docs/reference/calibration-files.md).
-
-    Turn it by yaw about z (from x towards y), then tilt it about x, then about y, all through its origin, and shift the
-    origin over (x, y); its lowest point then lies `depth_mm` under the undeformed skin at (x, y).
+    """Place an indenter as a row of PRESSES.csv states (docs/reference/calibration-files.md): turned by yaw about z
+    (from x towards y), then tilted about x, then y, all through its origin, which is then shifted over (x, y) until its
+    lowest point lies `depth_mm` under the undeformed skin at (x, y).
     """
     a, b, c = (math.radians(angle) for angle in (yaw_deg, tilt_x_deg, tilt_y_deg))
     about_z = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
@@ -187,12 +165,8 @@ def level(outline: F64, z_mm: float) -> F64:
 
 
 def surface(rings: Sequence[F64]) -> F64:
-    """Join rings of equally many corners (N, 3), counter-clockwise and the lowest first, and close both ends.
-
-    Returns
-    -------
-    float64 (triangles, 3, 3)
-        Corners counter-clockwise as seen from outside.
+    """Triangles (N, 3, 3), counter-clockwise from outside, of rings of equally many corners (N, 3), counter-clockwise
+    and the lowest first; both ends are closed.
     """
     faces = []
     for low, high in itertools.pairwise(rings):

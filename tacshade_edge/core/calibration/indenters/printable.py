@@ -22,15 +22,8 @@ _STEPS = 48  # rings of a shape that is round below
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Printable:
-    """An indenter to print.
-
-    Attributes
-    ----------
-    name : str
-    entry : mapping
-        Its entry in INDENTERS.yaml.
-    triangles_mm : float64 (N, 3, 3)
-        Corners counter-clockwise as seen from outside; the lowest point has z = 0, the stem points along z.
+    """An indenter to print: its entry in INDENTERS.yaml, and its triangles (N, 3, 3), counter-clockwise from outside;
+    the lowest point has z = 0, the stem points along z.
     """
 
     name: str
@@ -63,9 +56,8 @@ class Planned:
 
 
 def planned_presses() -> tuple[Planned, ...]:
-    """Plan five presses with each of `printables`, one indenter after the other.
-
-    All places together form a sunflower out to `_REACH_MM` (Vogel 1979); those of each indenter spread over all of it.
+    """Plan five presses with each of `printables`: all places form a sunflower out to `_REACH_MM` (Vogel 1979), those
+    of each indenter spread over all of it.
     """
     names = [each.name for each in printables()]
     count, golden = len(names) * len(_DEPTHS_MM), math.pi * (3 - math.sqrt(5))

@@ -22,16 +22,8 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedIndenter:
-    """An indenter fixed in the base frame.
-
-    Attributes
-    ----------
-    point_mm : float64 (3,)
-        In the base frame: a ball's centre, or another indenter's lowest point.
-    ball_radius_mm : float
-        0 for another indenter.
-    base_T_sensor : Rigid
-        Pose of the sensor at the press with a stated place.
+    """An indenter fixed in the base frame: a ball's centre, or another's lowest point (`ball_radius_mm` 0), and the
+    pose of the sensor at the press with a stated place.
     """
 
     point_mm: F64
@@ -47,25 +39,15 @@ class FixedIndenter:
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 
     def touch(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Touch:
-        """The press of a sensor held at this pose.
-
-        Raises
-        ------
-        ValueError
-            The indenter is not over the skin.
-        """
+        """The press of a sensor held at this pose. Raises ValueError if the indenter is not over the skin."""
         x_mm, y_mm, z_mm = (float(v) for v in base_T_sensor.inverse().apply(self.point_mm))
         lowest_mm = z_mm - self.ball_radius_mm
         return Touch(x_mm, y_mm, _skin_z_mm(x_mm, y_mm, skin_radius_mm) - lowest_mm)
 
 
 def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
-    """The indenter that makes the stated press; the inverse of `FixedIndenter.touch`.
-
-    Raises
-    ------
-    ValueError
-        The press is not over the skin.
+    """The indenter that makes the stated press; the inverse of `FixedIndenter.touch`. Raises ValueError if the press is
+    not over the skin.
     """
     z_mm = _skin_z_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
     point_mm = base_T_sensor.apply(np.array((stated.x_mm, stated.y_mm, z_mm)))

@@ -29,51 +29,24 @@ _USUAL_BALL_RADII = 0.3
 
 @dataclass(frozen=True, slots=True)
 class PressObservation:
-    """The stated and observed values of one press.
-
-    Attributes
-    ----------
-    name : str
-    change_grey, brightening_grey : float
-        Greatest screened change χ and greatest screened brightening; grey levels, above 0.
-    bright_mm2 : float
-        Area of skin that brightens by at least half of the greatest brightening.
-    located_x_mm, located_y_mm : float
-        Where the skin brightens most.
-    radius_mm, depth_mm : float
-        Stated values; for another indenter, the radius is that of a usual ball.
-    x_mm, y_mm : float or None
-        Stated place.
-    indenter : str
-        Name of the indenter; empty for a ball.
-    touch_mm : float
-        Depth at which another indenter first touches the skin; 0 for a ball.
-    reach_mm : float
-        Greatest distance from (x, y) at which another indenter may brighten the skin most; 0 for a ball.
-    ball_factor : float
-        See `PressView.ball_factor`; NaN if no network saw a ball.
-    misfit_ratio : float
-        See `PressView.misfit_ratio`.
-    is_seen : bool
-        Whether a network located the press, which is far more exact than the brightening.
-    """
+    """The stated and observed values of one press."""
 
     name: str
-    change_grey: float
-    brightening_grey: float
-    bright_mm2: float
-    located_x_mm: float
+    change_grey: float  # greatest screened change χ
+    brightening_grey: float  # greatest screened brightening
+    bright_mm2: float  # area of skin that brightens by at least half of that
+    located_x_mm: float  # where the skin brightens most
     located_y_mm: float
-    radius_mm: float
+    radius_mm: float  # stated, or for another indenter that of a usual ball
     depth_mm: float
     x_mm: float | None
     y_mm: float | None
-    indenter: str = ""
-    touch_mm: float = 0.0
-    reach_mm: float = 0.0
-    ball_factor: float = math.nan
+    indenter: str = ""  # its name; empty for a ball
+    touch_mm: float = 0.0  # depth at which another indenter first touches the skin
+    reach_mm: float = 0.0  # greatest distance from (x, y) at which another indenter may brighten the skin most
+    ball_factor: float = math.nan  # `PressView.ball_factor`; NaN if no network saw a ball
     misfit_ratio: float = 1.0
-    is_seen: bool = False
+    is_seen: bool = False  # whether a network located the press, far more exactly than the brightening
 
     @property
     def place_mm(self) -> tuple[float, float]:

@@ -29,15 +29,8 @@ LEAST_BRIGHTENING = 6.0
 
 
 def screened_poisson(change: F32, reach_cells: float) -> F32:
-    """Solution ψ of ψ - ℓ² ∇²ψ = change: a mean over a neighbourhood of length ℓ.
-
-    Computed by a cosine transform (mirrored borders). A constant stays the same.
-
-    Parameters
-    ----------
-    change : float32 (rows, cols)
-    reach_cells : float
-        ℓ in cells.
+    """Solution ψ of ψ - ℓ² ∇²ψ = change, by a cosine transform (mirrored borders): a mean over a neighbourhood of ℓ
+    cells.
     """
     rows, cols = change.shape
     even = cv2.copyMakeBorder(change, 0, rows % 2, 0, cols % 2, cv2.BORDER_REPLICATE)  # cv2.dct takes even sizes

@@ -25,24 +25,9 @@ _PICTURED_SCALE = (0.6, 1.6)  # true distance from the axis over the pictured on
 
 
 def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -> tuple[F64, float]:
-    """Fit the centre of the undeformed skin (Gauss-Newton): the ball's centre touches at the sum of both radii.
-
-    Parameters
-    ----------
-    touches_mm : float64 (N, 3)
-        Head at first touch, N at least 4, not all in a line.
-    skin_radius_mm, ball_radius_mm : float
-
-    Returns
-    -------
-    centre_mm : float64 (3,)
-    rms_mm : float
-        RMS distance of the touches from that skin.
-
-    Raises
-    ------
-    ConfigError
-        The touches do not lie on such a skin.
+    """Fit the centre (3,) of the undeformed skin, and the RMS distance of the touches from it (Gauss-Newton): the
+    ball's centre touches at the sum of both radii. Takes the head's place at touches (N, 3), N at least 4, not all in a
+    line; raises ConfigError if they do not lie on such a skin.
     """
     balls_mm = touches_mm + np.array((0.0, 0.0, ball_radius_mm))
     reach_mm = skin_radius_mm + ball_radius_mm
@@ -64,24 +49,9 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
 
 
 def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
-    """Fit the angle by which the sensor frame is turned about z in the machine's, from x towards y.
-
-    Parameters
-    ----------
-    places_mm : float64 (N, 2)
-        Places of the ball in the machine's frame, relative to the skin's axis.
-    pictured_mm : float64 (N, 2)
-        Places where the pictures show the ball, in the sensor frame.
-
-    Returns
-    -------
-    float
-        Angle in rad, -π to π.
-
-    Raises
-    ------
-    ConfigError
-        The pictures show other places, or mirrored ones.
+    """Fit the angle in rad by which the sensor frame is turned about z in the machine's, from x towards y, from a
+    ball's places (N, 2) in the machine's frame, relative to the skin's axis, and in the pictures. Raises ConfigError if
+    these show others.
     """
     shown, put = pictured_mm @ (1, 1j), places_mm @ (1, 1j)
     turned, mirrored = (float(abs(np.vdot(s, put))) for s in (shown, shown.conj()))
@@ -100,14 +70,7 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """The pose of a sensor under a machine.
-
-    Attributes
-    ----------
-    machine_T_sensor : Rigid
-        z points upwards in both frames.
-    skin_radius_mm : float
-    """
+    """The pose of a sensor under a machine; z points upwards in both frames."""
 
     machine_T_sensor: Rigid
     skin_radius_mm: float
@@ -138,14 +101,8 @@ def stand(centre_mm: F64, yaw_rad: float, skin_radius_mm: float) -> Stand:
 def first_touch_mm(
     indenter: Indenter | float, skin_radius_mm: float, x_mm: float, y_mm: float, yaw_deg: float = 0.0
 ) -> float:
-    """Depth in mm, as in PRESSES.csv, at which an indenter first touches the undeformed skin: at most 0 for a ball.
-
-    Parameters
-    ----------
-    indenter : Indenter or float
-        A float is a ball's radius in mm.
-    skin_radius_mm, x_mm, y_mm : float
-    yaw_deg : float
+    """Depth, as in PRESSES.csv, at which an indenter, or a ball of a radius, first touches the undeformed skin: at most
+    0 for a ball.
     """
     r, q = skin_radius_mm, x_mm**2 + y_mm**2
     if isinstance(indenter, Indenter):
@@ -154,14 +111,9 @@ def first_touch_mm(
 
 
 def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
-    """Convert the depth of a press from travel since first touch to the depth of PRESSES.csv.
-
-    The result is 0 or less if the indenter's lowest point is still above the skin at (x, y).
-
-    Raises
-    ------
-    ConfigError
-        The press states no place, or one that is not over the skin.
+    """Convert the depth of a press from travel since first touch to that of PRESSES.csv: 0 or less if the indenter's
+    lowest point is still above the skin. Raises ConfigError if the press states no place, or one that is not over the
+    skin.
     """
     if press.x_mm is None or press.y_mm is None:
         raise ConfigError(f"{press.name}: x_mm, y_mm: found no values, expected both values with --depth-from-touch")

@@ -61,21 +61,8 @@ def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
 
 
 def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
-    """Find the place and depth furthest from any press taken, among those that the presses should cover.
-
-    Parameters
-    ----------
-    presses : sequence of Pressed
-        At least one.
-    geometry : Geometry
-
-    Returns
-    -------
-    x_mm, y_mm, depth_mm : float
-
-    References
-    ----------
-    M. E. Johnson, L. M. Moore, D. Ylvisaker, "Minimax and maximin distance designs", 1990.
+    """Find x, y and depth furthest from any of the presses (at least one), among those that they should cover (M. E.
+    Johnson, L. M. Moore, D. Ylvisaker, "Minimax and maximin distance designs", 1990).
     """
     reach_mm = _REACH_RHO * _visible_mm(geometry)
     shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)

@@ -3,11 +3,8 @@
 A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths against the true ones
 lie on a line through 0. If the stated ones lie on another line, their zero is off. Depths stated as travel from first
 touch are off by an amount that grows with the distance from the middle; the share of that amount in the error, 0 or 1,
-is a third coefficient. Shallow presses decide, since the error of a depth grows with it.
-
-References
-----------
-P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: the weights.
+is a third coefficient. Shallow presses decide, since the error of a depth grows with it. (The weights: P. J. Huber,
+"Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964.)
 """
 
 from __future__ import annotations
@@ -40,15 +37,8 @@ TRAVEL_ADVICE = (
 
 
 def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
-    """A message about another zero of the depths that fits clearly better than the stated one; empty if none does.
-
-    Parameters
-    ----------
-    found_mm : sequence of float
-        For each press, the greatest h that a network finds without a refit.
-    placed : sequence of Ball or PlacedIndenter
-        The indenters at their stated places.
-    geometry : Geometry
+    """A message about another zero of the depths that fits clearly better than the stated one, judging by the greatest
+    h that a network finds in each press without a refit; empty if none does.
     """
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     found = np.asarray(found_mm) / scale

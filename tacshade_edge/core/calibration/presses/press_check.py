@@ -23,17 +23,8 @@ from tacshade_edge.types import U8, Calibration
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The judgement on an image of a press.
-
-    Attributes
-    ----------
-    unusable : Reason or None
-        Why the image is invalid, which leaves the other fields without meaning; None if valid.
-    moved : str
-        Message that the camera moved too far since the references; empty if it did not.
-    changed : str
-        Message about a smaller change; empty if none.
-    in_contact : bool
+    """The judgement on an image of a press; an unusable one leaves the other fields without meaning. `moved` says that
+    the camera moved too far since the references, `changed` what changed less; both empty if nothing did.
     """
 
     unusable: Reason | None
@@ -43,18 +34,8 @@ class Judgement:
 
 
 class PressCheck:
-    """Judges images of one sensor.
-
-    Parameters
-    ----------
-    unloaded : Calibration
-        The calibration from the references alone.
-    network : Network, optional
-        The network of `GRADED_PROFILE`, to compare a press with its stated values.
-
-    Attributes
-    ----------
-    geometry : Geometry
+    """Judges images of one sensor from its calibration without presses; a network of `GRADED_PROFILE` lets it compare a
+    press with its stated values.
     """
 
     def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:

@@ -36,22 +36,10 @@ class Selection:
 
 
 def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
-    """Leave out presses without contact, with a moved camera, or that disagree with their stated values.
-
-    Parameters
-    ----------
-    unloaded : Calibration
-        The calibration from the references alone.
-    presses : sequence of KnownPress
-    network : Network, optional
-        The network of `GRADED_PROFILE`: it shows whether and where something touches, and detects wrong stated sizes of
-        depths, balls or skin.
-
-    Raises
-    ------
-    ConfigError
-        The whole table or the sensor's description has a gross mistake, presses are too few, too many are left out, or
-        one cannot be a press of this sensor.
+    """Leave out presses without contact, with a moved camera, or that disagree with their stated values; the network of
+    `GRADED_PROFILE` shows whether and where something touches, and wrong stated sizes. Raises ConfigError on a gross
+    mistake in the whole table or the sensor's description, on too few presses or too many left out, and on one that
+    cannot be of this sensor.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")

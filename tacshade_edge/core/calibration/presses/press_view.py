@@ -27,19 +27,9 @@ _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
 
 @dataclass(frozen=True, slots=True)
 class PressView:
-    """A press as a network sees it.
-
-    Attributes
-    ----------
-    depth_mm : float
-        Greatest height in the contact.
-    x_mm, y_mm : float
-        Place of the indenter, given its stated radius and depth.
-    ball_factor : float
-        The radius, as a multiple of the stated one, that fits the heights in the contact best, at any factor on the
-        heights; NaN for another indenter.
-    misfit_ratio : float
-        Misfit of the stated radius over that of the best: 1 if the stated one fits best.
+    """A press as a network sees it: the greatest height in the contact, and the place of the indenter, given its stated
+    radius and depth. `ball_factor` is the radius, as a multiple of the stated one, that fits the heights best, at any
+    factor on them (NaN for another indenter); `misfit_ratio` the misfit of the stated radius over that of the best.
     """
 
     depth_mm: float
@@ -50,16 +40,7 @@ class PressView:
 
 
 class PressViewer:
-    """Measures presses of one sensor.
-
-    Parameters
-    ----------
-    unloaded : Calibration
-        The calibration from the references alone.
-    profile : Profile
-    network : Network
-        The network of that profile.
-    """
+    """Measures presses of one sensor with the network of a profile, from its calibration without presses."""
 
     def __init__(self, unloaded: Calibration, profile: Profile, network: Network) -> None:
         self._geometry = unloaded.geometry

@@ -37,17 +37,9 @@ _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class ShownSizes:
-    """Median ratio of shown to stated sizes over all presses; NaN if too few show it.
-
-    Attributes
-    ----------
-    depth : float
-        Ratio of the depths.
-    ball : float
-        Ratio of the balls' radii.
-    ball_slope : float
-        Ratio of the radii despite a constant offset of all depths: the image shows radius times depth, so this is the
-        slope of that over the stated depth; also NaN if the depths are equal.
+    """Median ratio of shown to stated sizes over all presses, NaN if too few show it: of depths, of balls' radii, and
+    of radii despite a constant offset of all depths: the image shows radius times depth, so that is the slope of that
+    over the stated depth (NaN if the depths are equal).
     """
 
     depth: float
@@ -70,10 +62,8 @@ def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]
 
 
 def theil_sen_slope(x: F64, y: F64) -> float:
-    """The Theil-Sen slope of y over x (float64 (N,), N at least 2, not all x equal).
-
-    H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
-    regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
+    """The Theil-Sen slope of y over x, (N,), N at least 2, not all x equal (H. Theil, "A rank-invariant method of
+    linear and polynomial regression analysis", 1950).
     """
     i, j = np.triu_indices(len(x), 1)
     apart = x[i] != x[j]

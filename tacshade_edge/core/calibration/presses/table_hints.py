@@ -42,14 +42,7 @@ def table_hints(observations: Sequence[PressObservation], geometry: Geometry) ->
 
 
 def polarity_hint(observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity) -> str:
-    """A hint at the other polarity, if the places then fit clearly better; empty otherwise.
-
-    Parameters
-    ----------
-    observations, other : sequence of PressObservation
-        The same presses observed with the stated and with the other polarity.
-    stated : str
-    """
+    """A hint at the other polarity, if the places of the same presses then fit clearly better; empty otherwise."""
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
         return ""

@@ -2,14 +2,9 @@
 
 A robust regression, sharper than a reconstruction because the indenter and its place are known: the travel from first
 touch is a power law of what the image shows. (The depth of a press is that travel plus the depth at first touch.)
-
-References
-----------
-P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Comm. Stat. A 6, 1977: the
-iteration. P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: the weights, here 0
-beyond `OUTLIER_DEVIATIONS`. A. E. Hoerl, R. W. Kennard, "Ridge regression", Technometrics 12, 1970: the pull, here
-towards usual weights instead of 0. D. M. Allen, "The relationship between variable selection and data augmentation and
-a method for prediction", Technometrics 16, 1974: leave-one-out residuals from the leverage.
+Iteration by P. W. Holland and R. E. Welsch (Comm. Stat. A 6, 1977) with P. J. Huber's weights (Ann. Math. Stat. 35,
+1964), here 0 beyond `OUTLIER_DEVIATIONS`; A. E. Hoerl and R. W. Kennard's pull (Technometrics 12, 1970), here towards
+usual weights; leave-one-out residuals from the leverage by D. M. Allen (Technometrics 16, 1974).
 """
 
 from __future__ import annotations
@@ -44,14 +39,8 @@ _ITERATIONS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
-    """The residual of each press from the fit without it.
-
-    Attributes
-    ----------
-    error_mm : float64 (N,)
-        Predicted less stated travel.
-    deviations : float64 (N,)
-        Size of the residual in robust standard deviations of all presses; less if the press dominates the fit.
+    """The residual (N,) of each press from the fit without it: predicted less stated travel, and its size in robust
+    standard deviations of all presses, less if the press dominates the fit.
     """
 
     error_mm: F64

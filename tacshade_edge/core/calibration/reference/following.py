@@ -39,15 +39,8 @@ _BLOCK_PX = 8  # averages the noise of single pixels
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """The difference between two references.
-
-    Attributes
-    ----------
-    drift : Drift
-    common_grey : float
-        Change of g that the whole skin shares, grey levels.
-    patch_grey : float
-        Greatest difference from that over `GATE_MM2` of skin, lighter or darker; grey levels.
+    """The difference between two references: their drift, the change of g that the whole skin shares, and the greatest
+    difference from that over `GATE_MM2` of skin, lighter or darker.
     """
 
     drift: Drift
@@ -57,16 +50,8 @@ class Distance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """The result of `follow`.
-
-    Attributes
-    ----------
-    calibration : Calibration or None
-        Calibration with the renewed reference; None if the present one stays.
-    distance : Distance or None
-        Distance of the images from the origin; None if an image cannot be compared.
-    reason : Reason or None
-        The bound that the images exceed, or why an image is invalid; None otherwise.
+    """The result of `follow`: the calibration with the renewed reference (None: the present one stays), the distance of
+    the images from the origin (None: one cannot be compared), and the bound exceeded or why an image is invalid.
     """
 
     calibration: Calibration | None
@@ -89,16 +74,8 @@ def bounds(disc: Disc) -> dict[str, float]:
 
 
 def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
-    """Renew the reference from untouched images, if they are within the bounds.
-
-    Parameters
-    ----------
-    origin : Calibration
-        With the reference from which the bounds count.
-    current : Calibration
-        The same calibration with the reference in use.
-    images : sequence of uint8 (H, W) or (H, W, 3)
-        At least one image.
+    """Renew the current reference from untouched images (at least one) if they are within the bounds around the
+    origin's.
     """
     greys = [greyscale.to_grey(image) for image in images]
     check = sensor_check(origin, unloaded=True)

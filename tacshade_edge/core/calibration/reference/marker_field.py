@@ -34,16 +34,8 @@ _HEXAGON = 3**0.5 / 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerField:
-    """The markers, or pins, of one image.
-
-    Attributes
-    ----------
-    markers_px : float64 (N, 2)
-        Row and column of each, N at least `LEAST_MARKERS`.
-    pitch_px : float
-        Median distance to the three nearest markers.
-    circle : Disc
-        The smallest circle around the markers, plus half a pitch.
+    """The markers, or pins, of one image: rows and columns (N, 2), N at least `LEAST_MARKERS`; the median distance to
+    the three nearest; the smallest circle around all, plus half a pitch.
     """
 
     markers_px: F64
@@ -74,12 +66,7 @@ class MarkerField:
 
 
 def find_markers(grey: U8) -> MarkerField | None:
-    """Find the largest and most even field of blobs of one size; None if there is none.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-    """
+    """Find the largest and most even field of blobs of one size in a grey image; None if there is none."""
     scale = min(grey.shape) / _SEARCH_PX
     if min(grey.shape) < 16:
         return None

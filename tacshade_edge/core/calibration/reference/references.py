@@ -33,14 +33,7 @@ _WORN_CONTRAST = 0.6
 
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
-    """Replace the reference by the mean of binarised images, and the noise by the deviation of g between them.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    greys : sequence of uint8 (H, W)
-        At least one; of the calibration's size.
-    """
+    """Replace the reference by the mean of binarised images, and the noise by the deviation of g between them."""
     geometry = calibration.geometry
     height, width = calibration.image_height_px, calibration.image_width_px
     window = Window.of_disc(height, width, geometry.disc)
@@ -70,27 +63,8 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
 def check_references(
     calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Check the references for a load and for differences between them.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With the mean of the images as its reference.
-    greys : sequence of uint8 (H, W)
-    allow_loaded : bool
-        Warn of a load instead of raising.
-    names : sequence of str
-        Name of each reference in messages; numbers from 1 if empty.
-
-    Returns
-    -------
-    tuple of str
-        Warnings.
-
-    Raises
-    ------
-    ConfigError
-        The skin is loaded and that is not allowed, or the camera moved too far for a mean.
+    """Warn of differences between the images whose mean is the calibration's reference, and of a load if that is
+    allowed. Raises ConfigError on a load that is not, and on a camera that moved too far for a mean.
     """
     names = names or [str(number) for number in range(1, len(greys) + 1)]
     warnings = []
@@ -131,21 +105,8 @@ def _allowed(load: str, allow_loaded: bool) -> str:
 def rezero(
     calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
 ) -> Calibration:
-    """Replace a calibration's reference by one from new images of the unloaded skin.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    images : sequence of uint8 (H, W) or (H, W, 3)
-    allow_loaded : bool
-        Accept the images even if the skin seems touched.
-    names : sequence of str
-        Name of each image in messages; none if empty.
-
-    Raises
-    ------
-    ConfigError
-        An image cannot be used, the camera moved too far for the calibration's geometry, or something touches the skin.
+    """Replace a calibration's reference by one from new images of the unloaded skin. Raises ConfigError if an image
+    cannot be used, the camera moved too far for the geometry, or something touches the skin and that is not allowed.
     """
     if not images:
         raise ConfigError("found no image to take a reference from, expected at least one")

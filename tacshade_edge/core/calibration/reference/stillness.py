@@ -19,35 +19,15 @@ REST_MOST_GREY = 8.0
 
 
 def block_means(grey: U8) -> F32:
-    """Means over blocks of a grey image.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-        At least 8 x 8.
-
-    Returns
-    -------
-    float32 (H // 8, W // 8)
-        Grey levels.
-    """
+    """Means over blocks of a grey image of at least 8 x 8: (H // 8, W // 8)."""
     rows, cols = grey.shape[0] // BLOCK_PX, grey.shape[1] // BLOCK_PX
     whole = grey[: rows * BLOCK_PX, : cols * BLOCK_PX].astype(np.float32)
     return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def motion_grey(blocks: Sequence[F32]) -> float:
-    """Change over time of the block that changed most, less the change shared by all.
-
-    Parameters
-    ----------
-    blocks : sequence of float32 (h, w)
-        `block_means` of at least one image, in any order.
-
-    Returns
-    -------
-    float
-        Grey levels between the least and the greatest mean of that block; 0 for one image.
+    """Change over time of the block that changed most, less the change shared by all: grey levels between the least and
+    the greatest mean of that block over `block_means` of at least one image, in any order.
     """
     change = np.stack(blocks) - blocks[0]
     change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion

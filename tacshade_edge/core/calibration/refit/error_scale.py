@@ -28,16 +28,7 @@ def errors_in_sigma(
     known: Bool,
     geometry: Geometry,
 ) -> F64:
-    """error| over σ of scale 1 of a press, at the cells with known height: float64 (N,).
-
-    Parameters
-    ----------
-    model : SigmaModel
-    height_mm, true_mm, contact_logit : float32 (cells, cells)
-    untrusted_logit : float32 (M, M)
-    known : bool (cells, cells)
-    geometry : Geometry
-    """
+    """|error| over σ of scale 1 of a press, at the cells with known height: (N,)."""
     x = terms(height_mm, contact_logit, untrusted_logit, known, geometry)
     off = np.abs(height_mm[known].astype(np.float64) - true_mm[known])
     return np.asarray(off / sigma_of_scale_1(model, x, geometry))

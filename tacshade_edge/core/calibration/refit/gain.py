@@ -2,12 +2,8 @@
 
 A network trained on many sensors is off on a given one by a nearly constant factor. Each press shows the factor where
 the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
-and shrinks towards 0 as their spread allows. Balls show little more: corrections by depth and place fit the balls
-better, but not other shapes (tools/training/README.md).
-
-References
-----------
-P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964.
+(P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows. Balls show little more:
+corrections by depth and place fit the balls better, but not other shapes (tools/training/README.md).
 """
 
 from __future__ import annotations

@@ -22,25 +22,10 @@ from tacshade_edge.types import F64, Bool, Calibration, Geometry, ProfileFit
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """A refitted profile.
-
-    Attributes
-    ----------
-    factor : float
-        Factor on h.
-    fit : ProfileFit
-    errors_mm : tuple of (str, float)
-        Name of each press, and its greatest h found less the true one, with the press left out of the refit.
-    found_mm : tuple of float
-        Greatest h of each press that the network finds without a refit.
-    placed : tuple of Ball or PlacedIndenter
-        Indenter of each press at its stated place.
-    untrusted_part : float
-        Part of the median press's disc that the network cannot explain as this sensor's skin, 0 to 1.
-    left_out : tuple of str
-        Messages about presses left out because the network does not recognise the skin.
-    error_scale : float or None
-        Factor on σ, with each press left out of the refit; None if the network has no model of its errors.
+    """A refitted profile: the factor on h, and of each press with the others' factor its name and greatest h found less
+    the true one; the greatest h that the network finds without a refit, and the indenter at its stated place; the part
+    of the median press's disc that the network cannot explain as this sensor's skin (0 to 1); messages about presses
+    left out for that; the factor on σ (None if the network has no model of its errors).
     """
 
     factor: float
