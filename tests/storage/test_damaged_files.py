@@ -32,7 +32,7 @@ from tacshade_edge.storage.calibration import calibration_file, reference_file
 from tacshade_edge.storage.calibration.reference_file import StoredReference
 from tacshade_edge.storage.checked_npz import Content
 from tacshade_edge.storage.images import read_image
-from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
+from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.storage.recording.recording import Recording

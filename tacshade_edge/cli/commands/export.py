@@ -15,7 +15,7 @@ from tacshade_edge.daemon.recording.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.exports import Export
+from tacshade_edge.storage.exports.files import Export
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
@@ -106,13 +106,13 @@ def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, 
 
 
 def _csv(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    from tacshade_edge.storage.exports.csv_export import CsvExport
+    from tacshade_edge.storage.exports.files import CsvExport
 
     return CsvExport(out, _touch_names(calibration, profile))
 
 
 def _ply(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    from tacshade_edge.storage.exports.ply_export import PlyExport
+    from tacshade_edge.storage.exports.files import PlyExport
 
     return PlyExport(out)
 

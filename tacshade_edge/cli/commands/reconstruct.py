@@ -19,8 +19,8 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.images import read_image
-from tacshade_edge.storage.pictures.panel import write_panel
-from tacshade_edge.storage.runs.summary import summary
+from tacshade_edge.storage.pictures import write_panel
+from tacshade_edge.storage.runs.run_files import summary
 from tacshade_edge.types import Frame, Reconstruction
 
 

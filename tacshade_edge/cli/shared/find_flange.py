@@ -13,7 +13,7 @@ from tacshade_edge.core.stitching.flange_motions import delay_seen, unseen
 from tacshade_edge.core.stitching.refinement import correction
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid
-from tacshade_edge.storage.stitching.flange_file import FLANGE, write_flange
+from tacshade_edge.storage.stitching.map_files import FLANGE, write_flange
 
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tacshade_edge.protocol.hand import Finger, HandObjects, Motion, encode_hand
-from tacshade_edge.storage.atomic_files import sync
-from tacshade_edge.storage.exports.new_place import NewPlace
+from tacshade_edge.storage.exports.files import new_file
 from tacshade_edge.version import installed_version
 
 _AXES: Final = ("x", "y", "z")
@@ -26,21 +25,15 @@ _MOTION: Final = (
 
 def write_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandObjects]) -> int:
     """Write a row per message, empty cells for missing values; return the number of rows. Raises like `NewPlace`."""
-    place, rows = NewPlace(path), 0
-    try:
-        with place.writing(), place.partial.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            of_fingers = (f"{name}_{key}" for name in fingers for key in _finger(Finger(state="away")))
-            writer.writerow(("t_ns", "wall_ns", "seq", *_MOTION, *of_fingers))
-            for rows, message in enumerate(messages, 1):  # noqa: B007
-                motion = [""] * len(_MOTION) if message.motion is None else _motion(message.motion)
-                values = (value for name in fingers for value in _finger(message.fingers[name]).values())
-                writer.writerow((message.t_ns, message.wall_ns, message.seq, *motion, *values))
-            stream.flush()
-            sync(place.partial)
-        place.take()
-    finally:
-        place.discard()
+    rows = 0
+    with new_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        of_fingers = (f"{name}_{key}" for name in fingers for key in _finger(Finger(state="away")))
+        writer.writerow(("t_ns", "wall_ns", "seq", *_MOTION, *of_fingers))
+        for rows, message in enumerate(messages, 1):  # noqa: B007
+            motion = [""] * len(_MOTION) if message.motion is None else _motion(message.motion)
+            values = (value for name in fingers for value in _finger(message.fingers[name]).values())
+            writer.writerow((message.t_ns, message.wall_ns, message.seq, *motion, *values))
     return rows
 
 
@@ -48,19 +41,13 @@ def write_mcap(path: Path, hand_id: str, messages: Iterable[HandObjects]) -> int
     """Write the topic ``/tacshade/hand/ID/objects``; return the number of messages. Raises like `NewPlace`."""
     from tacshade_edge.storage.recording.mcap.writer import McapWriter  # needs the extra
 
-    place, count = NewPlace(path), 0
-    try:
-        with place.writing(), place.partial.open("wb") as stream:
-            writer = McapWriter(stream, f"hand/{hand_id}")
-            writer.describe("tacshade", {"version": installed_version(), "hand_id": hand_id})
-            for count, message in enumerate(messages, 1):  # noqa: B007
-                writer.write("objects", encode_hand(message), message.wall_ns, message.seq)
-            writer.finish()
-            stream.flush()
-            sync(place.partial)
-        place.take()
-    finally:
-        place.discard()
+    count = 0
+    with new_file(path) as partial, partial.open("wb") as stream:
+        writer = McapWriter(stream, f"hand/{hand_id}")
+        writer.describe("tacshade", {"version": installed_version(), "hand_id": hand_id})
+        for count, message in enumerate(messages, 1):  # noqa: B007
+            writer.write("objects", encode_hand(message), message.wall_ns, message.seq)
+        writer.finish()
     return count
 
 

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.atomic_files import sync
-from tacshade_edge.storage.exports.new_place import NewPlace
-from tacshade_edge.storage.exports.numbers import POSE_COLUMNS, contact_numbers, touch_numbers
+from tacshade_edge.storage.exports.files import POSE_COLUMNS, NewPlace, contact_numbers, touch_numbers
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import U8, Reconstruction
 from tacshade_edge.version import how_to_install
@@ -35,16 +33,7 @@ _DATA, _EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/f
 class LeRobotExport:
     """A folder that LeRobot's loader reads; recordings.md lists the features. Needs the extra ``lerobot``.
 
-    Parameters
-    ----------
-    folder : Path
-    touch_names : sequence of str
-        The quantities of a touch.
-
-    Raises
-    ------
-    ConfigError
-        The extra is missing; from `add`: an image differs in size from the first, or only some frames have poses.
+    Raises ConfigError without it; so does `add` if an image differs in size, or only some frames have poses.
     """
 
     def __init__(self, folder: Path, touch_names: Sequence[str]) -> None:
@@ -112,8 +101,6 @@ class LeRobotExport:
         with self._place.writing():
             self._writer.close()
             self._write_meta()
-            for path in self._place.partial.rglob("*"):
-                sync(path)
         self._place.take()
 
     def discard(self) -> None:

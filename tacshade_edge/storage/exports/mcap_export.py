@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tacshade_edge.protocol.messages import encode_touch
-from tacshade_edge.storage.atomic_files import sync
-from tacshade_edge.storage.exports.new_place import NewPlace
-from tacshade_edge.storage.exports.numbers import contact_numbers
+from tacshade_edge.storage.exports.files import NewPlace, contact_numbers
 from tacshade_edge.storage.recording.mcap import messages
 from tacshade_edge.storage.recording.mcap.writer import McapWriter
 from tacshade_edge.storage.recording.recorder import png_of
@@ -23,15 +21,7 @@ from tacshade_edge.version import installed_version
 class McapExport:
     """One MCAP file; docs/how-to/recordings.md lists its topics.
 
-    Parameters
-    ----------
-    path : Path
-    sensor_id : str
-    calibration : Calibration
-        Calibration that gave the results.
-    profile : str
-    content : mapping of str to bytes
-        The recording's other files (`recording_content`); they become attachments, and the events also log lines.
+    The recording's other files (`content`) become attachments, and the events also log lines.
     """
 
     def __init__(
@@ -75,7 +65,6 @@ class McapExport:
                 self._log(event)
             self._writer.finish()
             self._stream.close()
-            sync(self._place.partial)
         self._place.take()
 
     def discard(self) -> None:

@@ -19,12 +19,7 @@ Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.Sigm
 def first_difference(folder: Path, against: Path) -> str:
     """The frame, field and size of the first difference, as a line; empty if the runs are the same bytes.
 
-    Raises
-    ------
-    ConfigError
-        One of the folders has no complete run.
-    DecodeError
-        One of the runs is damaged.
+    Raises ConfigError if a folder has no complete run, and DecodeError if a run is damaged.
     """
     runs = folder, against
     records, others = (read_summary(run) for run in runs)
@@ -51,12 +46,7 @@ def first_difference(folder: Path, against: Path) -> str:
 def figures(folder: Path, against: Path) -> list[str]:
     """Differences in contact, depth and height over the common frames: mean, worst and its place, one line each.
 
-    Raises
-    ------
-    ConfigError
-        One of the folders has no complete run.
-    DecodeError
-        One of the runs is damaged.
+    Raises like `first_difference`.
     """
     records, others = (read_summary(run) for run in (folder, against))
     places = [f"frame {k} ({record.get('image')})" for k, record in enumerate(records[: len(others)])]

@@ -11,16 +11,17 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.messages import touch_fields
+from tacshade_edge.reasons import reason_fields
 from tacshade_edge.regular_files import open_regular, read_regular
 from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
 from tacshade_edge.storage.recording.recording import RecordedFrame
-from tacshade_edge.storage.runs.summary import summary
 from tacshade_edge.types import Reconstruction
 
 HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears.bin", "summary.json", "timings.json"
@@ -30,18 +31,9 @@ _SUMMARY_BYTES_MAX = 1 << 28
 
 
 class RunWriter:
-    """Writes one run; a folder has a complete run or none.
+    """Writes one run; a folder has a complete run or none, and an earlier run in it is removed at once.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if missing; an earlier run in it is removed at once.
-    calibration_crc32 : int
-
-    Raises
-    ------
-    DeviceError
-        The folder cannot be written; the methods raise it too.
+    The methods raise DeviceError if the folder cannot be written.
     """
 
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
@@ -108,15 +100,7 @@ def _record(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
 
 
 def read_summary(folder: Path) -> list[dict[str, Any]]:
-    """The records of a run.
-
-    Raises
-    ------
-    ConfigError
-        There is no complete run in the folder.
-    DecodeError
-        The summary is damaged.
-    """
+    """The records of a run. Raises ConfigError without a complete run, and DecodeError if the summary is damaged."""
     path = folder / SUMMARY
     try:
         records = json.loads(read_regular(path, _SUMMARY_BYTES_MAX))
@@ -136,12 +120,7 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
 def payloads(folder: Path, name: str) -> Iterator[bytes]:
     """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order.
 
-    Raises
-    ------
-    ConfigError
-        The file is missing or unreadable.
-    DecodeError
-        The file is truncated, or states an impossible payload length.
+    Raises ConfigError if the file is missing, and DecodeError if it is truncated or states an impossible length.
     """
     path = folder / name
     try:
@@ -157,3 +136,41 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
                 yield head + body
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a run written by `replay --out`") from None
+
+
+def summary(result: Reconstruction) -> dict[str, Any]:
+    """A reconstruction's values except the arrays, with lengths rounded to 0.1 µm."""
+    return {
+        "profile": result.profile,
+        "valid": result.valid,
+        **reason_fields(result.reason),
+        "contact": result.contact,
+        "saturated": result.saturated,
+        **reason_fields(result.degraded, "degraded"),
+        "depth_max_mm": round(result.depth_max_mm, 4),
+        "volume_mm3": round(result.volume_mm3, 4),
+        "repaired_px": result.repaired_px,
+        "shear_mm": _rounded(result.shear_of_contact_mm),
+        **touch_fields(result.touch),
+        **reason_fields(None if result.touch is None else result.touch.reason, "touch_reason"),
+        "objects": [
+            {
+                "label": o.label,
+                "centroid_mm": [round(v, 4) for v in o.centroid_mm],
+                "extent_mm": [round(v, 4) for v in o.extent_mm],
+                "depth_max_mm": round(o.depth_max_mm, 4),
+                "area_mm2": round(o.area_mm2, 4),
+                "normal": _rounded(o.normal),
+                "shear_mm": _rounded(o.shear_mm),
+                "twist_deg": None if o.twist_deg is None else round(o.twist_deg, 3),
+                "id": o.id,
+                "slip": o.slip,
+                "slip_mm_s": None if o.slip_mm_s is None else round(o.slip_mm_s, 3),
+            }
+            for o in result.objects
+        ],
+    }
+
+
+def _rounded(values: Sequence[float] | None) -> list[float] | None:
+    return None if values is None else [round(v, 4) for v in values]

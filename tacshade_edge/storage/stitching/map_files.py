@@ -1,4 +1,4 @@
-"""A stitched map as files: map.npz, map.ply, map.png and map.json, preview.png."""
+"""A stitched map as files (map.npz, map.ply, map.png and map.json, preview.png), and ``flange.json``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tacshade_edge.core.stitching.flange import ORDER, FoundFlange
 from tacshade_edge.core.stitching.stitcher import PlacedPress
 from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.atomic_files import disk_errors, write_set
-from tacshade_edge.storage.meshes import ply
-from tacshade_edge.storage.pictures.map_preview import height_span_mm, preview
-from tacshade_edge.types import F32
+from tacshade_edge.storage import meshes
+from tacshade_edge.storage.atomic_files import disk_errors, write_set, write_whole
+from tacshade_edge.storage.pictures import height_span_mm, preview
+from tacshade_edge.types import F32, F64
 
 _PNG_SCALE_MM = 0.001
 
@@ -40,20 +41,7 @@ def write_map(
 ) -> None:
     """Write all files of a map, so that files beside a ``map.json`` are of one map, also after a kill.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if missing.
-    raster : Raster
-    details : mapping
-        Additional keys of ``map.json``.
-    more : mapping of str to bytes
-        Additional files.
-
-    Raises
-    ------
-    DeviceError
-        The folder cannot be written.
+    `details` are additional keys of ``map.json``, `more` additional files. Raises DeviceError.
     """
     levels, z0_mm, scale_mm = _levels(raster.z_mm)
     about = {
@@ -86,9 +74,9 @@ def write_map(
 def _points(raster: Raster) -> Iterator[bytes]:
     """The touched cells as a PLY file, in parts."""
     count = sum(int(np.count_nonzero(np.isfinite(band.z_mm))) for band in raster.bands())
-    yield ply.head(count, "millimetres, base frame")
+    yield meshes.ply_head(count, "millimetres, base frame")
     for band in raster.bands():
-        yield ply.rows(band.points())
+        yield meshes.ply_rows(band.points())
 
 
 def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
@@ -101,3 +89,30 @@ def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
         level = np.rint((np.nan_to_num(band, nan=low) - low) / scale_mm) + 1
         levels[first : first + BAND_ROWS] = np.where(np.isfinite(band), level, 0)
     return levels, low, scale_mm
+
+
+FLANGE = "flange.json"
+
+
+def write_flange(folder: Path, found: FoundFlange, *, delay_seen: bool, presses: int, frames: int) -> None:
+    """Write ``flange.json`` whole; values of an unobserved delay are null. Raises DeviceError."""
+    covariance = found.covariance.copy()
+    if not delay_seen:
+        covariance[-1] = covariance[:, -1] = np.nan
+    about = {
+        "flange_T_sensor": [round(value, 6) for value in found.flange_T_sensor.seven()],
+        "delay_ms": round(found.delay_ms, 3) if delay_seen else None,
+        "order": ORDER,
+        "sigma": _numbers(np.sqrt(np.diag(covariance))),
+        "covariance": [_numbers(row) for row in covariance],
+        "presses": presses,
+        "frames": frames,
+        "left_mm": round(found.left_mm, 4),
+    }
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / FLANGE, (json.dumps(about, indent=2) + "\n").encode())
+
+
+def _numbers(values: F64) -> list[float | None]:
+    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values.tolist()]

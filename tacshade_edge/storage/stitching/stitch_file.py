@@ -46,23 +46,9 @@ _Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 
 class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The content of ``session.json``.
+    """The content of ``session.json``; `crc32`, in the file only, is that of the other fields as compact JSON.
 
-    Attributes
-    ----------
-    name : str
-    begun_wall_ns : int
-        Unix time.
-    calibration_crc32 : int
-        CRC-32 of the calibration with which the session began.
-    skin_radius_mm : float
-    sensor_id : str
-        The session's sensor; empty in version 1.
-    state : str
-        ``open``, or ``ended``.
-    version : int
-    crc32 : int
-        CRC-32 of the fields above as compact JSON; in the file only.
+    `sensor_id` is empty in version 1. The calibration is the one with which the session began.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=64)]
@@ -76,13 +62,7 @@ class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StitchFile:
-    """An open session's files.
-
-    Raises
-    ------
-    DeviceError
-        The folder cannot be written; the methods raise it too.
-    """
+    """An open session's files; the methods raise DeviceError if the folder cannot be written."""
 
     def __init__(self, folder: Path, info: SessionInfo) -> None:
         self.folder = folder
@@ -112,10 +92,7 @@ class StitchFile:
     def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
         """Resume a session; return its file and its whole presses in order.
 
-        Raises
-        ------
-        DecodeError
-            ``session.json`` is damaged or of another version.
+        Raises DecodeError if ``session.json`` is damaged or of another version.
         """
         file = cls(folder, read_info(folder))
         path = folder / PRESSES
@@ -224,13 +201,7 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
 
 
 def read_info(folder: Path) -> SessionInfo:
-    """Read ``session.json``.
-
-    Raises
-    ------
-    DecodeError
-        The file is unreadable, damaged, or of another version.
-    """
+    """Read ``session.json``. Raises DecodeError if it is unreadable, damaged, or of another version."""
     path = folder / SESSION
     try:
         info = msgspec.json.decode(read_regular(path, _INFO_BYTES_MAX), type=SessionInfo)

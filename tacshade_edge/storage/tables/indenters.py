@@ -13,7 +13,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
+from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.tables.presses import HEADER
 
 # Limits of a mesh's longest side in mm; a mesh outside them is in metres or inches, or a mistake.

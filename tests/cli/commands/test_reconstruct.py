@@ -15,7 +15,7 @@ from support.progress_lines import without_progress
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.pictures.axes import BAR_PX, LEFT_PX, RIGHT_PX
+from tacshade_edge.storage.pictures import BAR_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
 from tools.testbed.patience import patience
 

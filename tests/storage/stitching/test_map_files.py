@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.core.stitching.flange import FoundFlange
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.storage.meshes.ply import ply
-from tacshade_edge.storage.pictures.map_preview import MARGIN_PX, PREVIEW_PX, preview, tick_step_mm
-from tacshade_edge.storage.stitching.map_files import write_map
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.rigid import from_seven
+from tacshade_edge.storage.stitching.map_files import write_flange, write_map
 
 
 def raster(rows: int = 30, cols: int = 40, height_mm: float = 2.0) -> Raster:
@@ -61,38 +62,31 @@ def test_a_kill_leaves_no_two_maps_beside_a_manifest(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
 
 
-def test_the_preview_has_y_upwards_and_holes_in_grey() -> None:
-    picture = preview(raster())
-    zoom, left = PREVIEW_PX // 40, MARGIN_PX
-    assert (picture[(30 - 7) * zoom + zoom // 2, left + 6 * zoom + zoom // 2] == 225).all()
-    top, bottom = picture[2, left + 2].astype(int), picture[30 * zoom - 3, left + 2].astype(int)
-    assert top.sum() != bottom.sum()
-    assert max(preview(raster(3000, 10)).shape) < 1000
-    assert preview(Raster(np.full((1, 1), np.nan, np.float32), 0, 0, 0.25)).ndim == 3
+SEVEN = (1.0, -2.0, 50.5, 0.8, 0.0, 0.6, 0.0)
+FOUND = FoundFlange(from_seven(SEVEN), 12.3456, np.diag(np.square((0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 2.0))), 0.05)
 
 
-def test_the_preview_has_axes_in_millimetres() -> None:
-    """40 cells of 0.25 mm from x 10, 30 from y -20: a tick at each 2 mm, in line with the cell that is there."""
-    rows, cols, left = 30, 40, MARGIN_PX
-    picture = preview(raster(rows, cols))
-    zoom = PREVIEW_PX // cols
-    below, beside = picture[rows * zoom + 2, left:], picture[: rows * zoom, left - 3]
-    at = [(x - 10) / 0.25 * zoom + zoom / 2 for x in (10, 12, 14, 16, 18)]
-    assert np.flatnonzero((below == 0).all(axis=1)) == pytest.approx(at, abs=1)
-    at = [(rows - 1 - (y + 20) / 0.25) * zoom + zoom / 2 for y in (-14, -16, -18, -20)]
-    assert np.flatnonzero((beside == 0).all(axis=1)) == pytest.approx(at, abs=1)
-    assert (picture[rows * zoom + 8 :, left : left + 20] < 128).any(), "numbers below the ticks"
-    assert (picture[:, : left - 6] < 128).any(), "and beside them"
+def test_what_it_holds(tmp_path: Path) -> None:
+    write_flange(tmp_path / "new", FOUND, delay_seen=True, presses=100, frames=180)
+    about = json.loads((tmp_path / "new" / "flange.json").read_text())
+    assert about["flange_T_sensor"] == pytest.approx(SEVEN)
+    assert about["delay_ms"] == 12.346
+    assert about["order"] == ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms"]
+    assert about["sigma"] == pytest.approx((0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 2.0))
+    assert np.array(about["covariance"]) == pytest.approx(FOUND.covariance)
+    assert (about["presses"], about["frames"], about["left_mm"]) == (100, 180, 0.05)
 
 
-@pytest.mark.parametrize(
-    ("span_mm", "step_mm"), [(0.25, 0.05), (1.0, 0.2), (10, 2), (20, 5), (57, 20), (99, 20), (750, 200)]
-)
-def test_ticks_are_at_round_numbers(span_mm: float, step_mm: float) -> None:
-    assert tick_step_mm(span_mm) == pytest.approx(step_mm)
+def test_a_delay_that_was_not_seen_is_null(tmp_path: Path) -> None:
+    write_flange(tmp_path, FOUND, delay_seen=False, presses=100, frames=100)
+    about = json.loads((tmp_path / "flange.json").read_text())
+    assert about["delay_ms"] is None
+    assert about["sigma"][6] is None
+    assert about["covariance"][6] == [None] * 7
+    assert [row[6] for row in about["covariance"]] == [None] * 7
 
 
-def test_the_ply_says_how_many() -> None:
-    data = ply(raster().points(), "millimetres, base frame")
-    assert data.startswith(b"ply\nformat binary_little_endian 1.0\n")
-    assert len(data.split(b"end_header\n", 1)[1]) == 12 * (30 * 40 - 9)
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match="cannot write it"):
+        write_flange(tmp_path / "file" / "out", FOUND, delay_seen=True, presses=1, frames=1)

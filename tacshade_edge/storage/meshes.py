@@ -1,9 +1,4 @@
-"""STL files, ASCII and binary: the triangles of a surface.
-
-References
-----------
-3D Systems, "StereoLithography Interface Specification", 1989; M. Burns, "Automated Fabrication", 1993, section 6.5.
-"""
+"""Triangles as STL and points as binary PLY."""
 
 from __future__ import annotations
 
@@ -15,7 +10,7 @@ import numpy as np
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import read_regular
-from tacshade_edge.types import F64
+from tacshade_edge.types import F32, F64, U16
 
 MAX_TRIANGLES = 200_000
 _HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
@@ -26,18 +21,7 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def read_stl(path: Path) -> F64:
-    """Read the corners of all triangles; normals are ignored.
-
-    Returns
-    -------
-    float64 (N, 3, 3)
-        N from 1 to `MAX_TRIANGLES`, finite.
-
-    Raises
-    ------
-    DecodeError
-        The file is unreadable, not STL, has no triangle or too many, or a corner that is not a number.
-    """
+    """The corners of all triangles, float64 (N, 3, 3), finite, N from 1 to `MAX_TRIANGLES`. Raises DecodeError."""
     try:
         data = read_regular(path, _MAX_BYTES)
     except OSError as error:
@@ -94,3 +78,26 @@ def _ascii(path: Path, data: bytes) -> F64:
     if in_facet:
         raise DecodeError(f"{path}: found the end of the file within a facet, expected an endfacet line first")
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)
+
+
+def ply(points_mm: F32 | F64, comment: str, labels: U16 | None = None) -> bytes:
+    """A PLY file of points (N, 3) in mm: x, y, z as float and, with `labels` (N,), each one's number as ``object``."""
+    return ply_head(len(points_mm), comment, labelled=labels is not None) + ply_rows(points_mm, labels)
+
+
+def ply_head(count: int, comment: str, *, labelled: bool = False) -> bytes:
+    """The header of a file of `count` points; `ply_rows` follow, in one part or several."""
+    names = [f"float {axis}" for axis in "xyz"] + ["ushort object"] * labelled
+    properties = "".join(f"property {name}\n" for name in names)
+    begin = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {count}\n"
+    return f"{begin}{properties}end_header\n".encode()
+
+
+def ply_rows(points_mm: F32 | F64, labels: U16 | None = None) -> bytes:
+    """The bytes of a file's points, or of some of them."""
+    made = np.empty(len(points_mm), [(axis, "<f4") for axis in "xyz"] + [("object", "<u2")] * (labels is not None))
+    for axis, values in zip("xyz", np.asarray(points_mm, np.float32).reshape(-1, 3).T, strict=True):
+        made[axis] = values
+    if labels is not None:
+        made["object"] = labels
+    return made.tobytes()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
+from tacshade_edge.storage.meshes import ply, read_stl, stl_bytes
 from tacshade_edge.types import F64
 
 TWO = np.array((((0, 0, 0), (1, 0, 0.5), (0, 1, 2)), ((1, 1, 1), (2, 2, 2.25), (3, -3, 3))), dtype=np.float64)
@@ -73,3 +73,9 @@ def test_what_is_written_is_read_and_its_faces_point_outwards(tmp_path: Path) ->
     np.testing.assert_array_equal(read_stl(path), TWO)
     normal = np.frombuffer(path.read_bytes(), "<f4", 3, offset=84)
     np.testing.assert_allclose(normal, np.array((-0.5, -2, 1)) / np.linalg.norm((-0.5, -2, 1)), rtol=1e-6)
+
+
+def test_a_ply_says_how_many() -> None:
+    data = ply(np.zeros((7, 3)), "millimetres, base frame")
+    assert data.startswith(b"ply\nformat binary_little_endian 1.0\n")
+    assert len(data.split(b"end_header\n", 1)[1]) == 12 * 7

@@ -7,9 +7,21 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.pictures.axes import BAR_PX, BOTTOM_PX, LEFT_PX, RIGHT_PX, TOP_PX, Axis, ticks
-from tacshade_edge.storage.pictures.panel import panel, write_panel
+from tacshade_edge.storage.pictures import (
+    BAR_PX,
+    BOTTOM_PX,
+    LEFT_PX,
+    PREVIEW_PX,
+    RIGHT_PX,
+    TOP_PX,
+    Axis,
+    panel,
+    preview,
+    ticks,
+    write_panel,
+)
 from tacshade_edge.types import U8, Frame, Reconstruction
 from tools.testbed.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
@@ -68,3 +80,27 @@ def test_a_frame_of_another_size_is_shown_with_its_reason(tmp_path: Path) -> Non
     assert not result.valid
     write_panel(tmp_path / "p.png", image, result, GEOMETRY)
     assert cv2.imread(str(tmp_path / "p.png")).shape[1] == 2 * (LEFT_PX + 70 + RIGHT_PX) + BAR_PX
+
+
+def raster(rows: int, cols: int) -> Raster:
+    """Heights that grow downwards, with a hole at (6, 6); 0.25 mm a cell, from x 10 and y -20 mm."""
+    z = np.linspace(-1, 1, rows * cols, dtype=np.float32).reshape(rows, cols)
+    z[5:8, 5:8] = np.nan
+    return Raster(z, 10.0, -20.0, 0.25)
+
+
+def test_a_preview_has_y_upwards_and_holes_in_grey() -> None:
+    picture, zoom = preview(raster(30, 40))[TOP_PX:, LEFT_PX:], PREVIEW_PX // 40
+    assert (picture[(30 - 7) * zoom + zoom // 2, 6 * zoom + zoom // 2] == 225).all()
+    assert picture[2, 2].astype(int).sum() != picture[30 * zoom - 3, 2].astype(int).sum()
+    assert max(preview(raster(3000, 10)).shape) < 1100
+    assert preview(Raster(np.full((1, 1), np.nan, np.float32), 0, 0, 0.25)).ndim == 3
+
+
+def test_a_preview_has_ticks_in_millimetres_in_line_with_the_cells_there() -> None:
+    picture, zoom = preview(raster(30, 40)), PREVIEW_PX // 40
+    below, beside = picture[TOP_PX + 30 * zoom + 2, LEFT_PX:], picture[TOP_PX : TOP_PX + 30 * zoom, LEFT_PX - 3]
+    at = [(x - 10) / 0.25 * zoom + zoom / 2 for x in range(10, 20)]
+    assert np.flatnonzero((below == 0).all(axis=1)) == pytest.approx(at, abs=1)
+    at = [(29 - (y + 20) / 0.25) * zoom + zoom / 2 for y in range(-13, -21, -1)]
+    assert np.flatnonzero((beside == 0).all(axis=1)) == pytest.approx(at, abs=1)

@@ -1,1 +1,0 @@
-"""Points and triangles as PLY and STL files."""

@@ -1,0 +1,171 @@
+"""Pictures for people, with axes and colours, drawn without a plotting library, which boards lack."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import text_of
+from tacshade_edge.types import F32, U8, Geometry, HeightMap, Reconstruction
+
+LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
+BAR_PX = 78
+PREVIEW_PX = 900  # greatest length of the map's longer side
+_FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
+_LABEL_EVERY_PX = 46  # least distance between ticks
+_LEGEND_PX = 22
+_BLACK = (0, 0, 0)
+_COLOURS = cv2.COLORMAP_VIRIDIS
+_UNTOUCHED_GREY = 225
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One side of a picture: its label (ASCII, with the unit), the value at the middle of pixel 0, and the increase."""
+
+    label: str
+    first: float = 0.0
+    per_px: float = 1.0
+
+
+def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
+    """Round values along an axis, each with its position in px."""
+    step = _round_step(_LABEL_EVERY_PX * abs(axis.per_px))
+    low, high = sorted((axis.first, axis.first + (length_px - 1) * axis.per_px))
+    values = [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    return [(value, (value - axis.first) / axis.per_px) for value in values]
+
+
+def framed(picture: U8, x: Axis, y: Axis) -> U8:
+    """The picture, uint8 (H, W, 3) BGR, on white with two axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
+    rows, cols = picture.shape[:2]
+    paper = np.full((TOP_PX + rows + BOTTOM_PX, LEFT_PX + cols + RIGHT_PX, 3), 255, np.uint8)
+    paper[TOP_PX : TOP_PX + rows, LEFT_PX : LEFT_PX + cols] = picture
+    cv2.rectangle(paper, (LEFT_PX - 1, TOP_PX - 1), (LEFT_PX + cols, TOP_PX + rows), _BLACK, 1)
+    for value, at_px in ticks(x, cols):
+        place = LEFT_PX + round(at_px), TOP_PX + rows
+        cv2.line(paper, place, (place[0], place[1] + _TICK_PX), _BLACK, 1)
+        text = f"{value:g}"
+        _write(paper, text, place[0] - _width_px(text) // 2, place[1] + _TICK_PX + 12)
+    _write(paper, x.label, LEFT_PX + (cols - _width_px(x.label)) // 2, TOP_PX + rows + BOTTOM_PX - 5)
+    for value, at_px in ticks(y, rows):
+        row, text = TOP_PX + round(at_px), f"{value:g}"
+        cv2.line(paper, (LEFT_PX - 1, row), (LEFT_PX - 1 - _TICK_PX, row), _BLACK, 1)
+        _write(paper, text, LEFT_PX - 3 - _TICK_PX - _width_px(text), row + 4)
+    _write(paper, y.label, 4, TOP_PX - 7)
+    return paper
+
+
+def colour_bar(height_px: int, top: float, label: str) -> U8:
+    """A bar of the colours from 0 to `top`, as high as a picture of `height_px` rows after `framed`."""
+    paper = np.full((TOP_PX + height_px + BOTTOM_PX, BAR_PX, 3), 255, np.uint8)
+    levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(12, axis=1)
+    paper[TOP_PX : TOP_PX + height_px, 4:16] = cv2.applyColorMap(levels, _COLOURS)
+    cv2.rectangle(paper, (3, TOP_PX - 1), (16, TOP_PX + height_px), _BLACK, 1)
+    for value, from_bottom_px in ticks(Axis(label, 0.0, top / max(height_px - 1, 1)), height_px):
+        row = TOP_PX + height_px - 1 - round(from_bottom_px)
+        cv2.line(paper, (16, row), (16 + _TICK_PX, row), _BLACK, 1)
+        _write(paper, f"{value:g}", 24, row + 4)
+    _write(paper, label, 2, TOP_PX - 7)
+    return paper
+
+
+def write_panel(path: Path, image: U8, result: Reconstruction, geometry: Geometry) -> None:
+    """Write `panel` as PNG. Raises DeviceError."""
+    ok, data = cv2.imencode(".png", panel(image, result, geometry))
+    if not ok:
+        raise DeviceError(f"{path}: cannot encode the picture")
+    path.write_bytes(data.tobytes())
+
+
+def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
+    """One reconstruction, uint8 BGR: the image with axes in px; the height in mm with axes, contact and a colour bar.
+
+    The axes measure mm in the plane of the visible circle (`Geometry.mm_per_px`), from its centre.
+    """
+    left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+    rows, cols = left.shape[:2]
+    height, size = result.height.height_mm, (cols, rows)
+    top = max(float(np.nanmax(height, initial=0.0)), 0.1)
+    level = np.nan_to_num(np.clip(height / top, 0, 1) * 255).astype(np.uint8)
+    right = cv2.applyColorMap(_over_image(level, result.height, size, cv2.INTER_LINEAR), _COLOURS)
+    seen = _over_image(np.isfinite(height).astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
+    right[seen == 0] = 255
+    touched = _over_image(result.height.contact.astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
+    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(right, outlines, -1, (255, 255, 255), 1)
+    text = text_of(result.reason) or (
+        f"{result.profile}: {len(result.objects)} objects, deepest {result.depth_max_mm:.2f} mm"
+        f"{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
+        if result.contact
+        else f"{result.profile}: no contact {text_of(result.degraded)}"
+    )
+    disc, mm = geometry.disc, geometry.mm_per_px
+    pictures = np.hstack(
+        [
+            framed(left, Axis("col (px)"), Axis("row (px)")),
+            framed(right, Axis("x (mm)", -disc.col_c * mm, mm), Axis("y (mm)", -disc.row_c * mm, mm)),
+            colour_bar(rows, top, "h (mm)"),
+        ]
+    )
+    return _with_legend(pictures, text)
+
+
+def preview(raster: Raster) -> U8:
+    """A stitched map seen from above, y upwards: heights in colours, grey where nothing was touched; axes in mm."""
+    low, high = height_span_mm(raster.z_mm)
+    rows, cols = raster.z_mm.shape
+    stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))  # a subset of cells is enough for a large map
+    z = raster.z_mm[::stride, ::stride]
+    level = np.nan_to_num(np.clip((z - low) / max(high - low, 0.1) * 255, 0, 255)).astype(np.uint8)
+    picture = np.asarray(cv2.applyColorMap(level, _COLOURS), np.uint8)
+    picture[~np.isfinite(z)] = _UNTOUCHED_GREY
+    if max(z.shape) > PREVIEW_PX:
+        size = tuple(max(1, round(s * PREVIEW_PX / max(z.shape))) for s in z.shape[::-1])
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    zoom = max(1, PREVIEW_PX // max(z.shape))
+    picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    down_mm, along_mm = (n * raster.step_mm / px for n, px in zip((rows, cols), picture.shape[:2], strict=True))
+    x = Axis("x (mm)", raster.x0_mm + (along_mm - raster.step_mm) / 2, along_mm)
+    y = Axis("y (mm)", raster.y0_mm + (rows - 0.5) * raster.step_mm - down_mm / 2, -down_mm)
+    size_mm = f"{cols * raster.step_mm:.0f} x {rows * raster.step_mm:.0f} mm"
+    text = f"{size_mm}, colours {low:.2f} to {high:.2f} mm" if low < high else f"{size_mm}, nothing touched"
+    return _with_legend(framed(picture, x, y), text)
+
+
+def height_span_mm(z_mm: F32) -> tuple[float, float]:
+    """The least and the greatest height in mm; zeros if nothing was touched."""
+    low, high = float(np.fmin.reduce(z_mm, axis=None)), float(np.fmax.reduce(z_mm, axis=None))
+    return (low, high) if math.isfinite(low) else (0.0, 0.0)
+
+
+def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
+    """The values of a map's cells resampled to an image of `size` (width, height); 0 outside the map."""
+    to_cell = np.array(((1, 0, -grid.col0), (0, 1, -grid.row0))) / grid.step_px
+    return np.asarray(cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8)
+
+
+def _with_legend(picture: U8, text: str) -> U8:
+    legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, dtype=np.uint8)
+    cv2.putText(legend, text[:120], (6, 15), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
+    return np.vstack([picture, legend])
+
+
+def _round_step(least: float) -> float:
+    """The least step of 1, 2 or 5 times a power of ten that is not below `least`."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least)
+
+
+def _width_px(text: str) -> int:
+    return int(cv2.getTextSize(text, _FONT, _SCALE, 1)[0][0])
+
+
+def _write(paper: U8, text: str, col: int, row: int) -> None:
+    cv2.putText(paper, text, (max(col, 0), row), _FONT, _SCALE, _BLACK, 1, cv2.LINE_AA)
