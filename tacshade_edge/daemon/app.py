@@ -47,7 +47,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
 from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import json_payload, messages, replies
+from tacshade_edge.protocol import json_payload, messages, requests
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
@@ -298,7 +298,7 @@ class App:
     def _reply(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> None:
         """Answer a request where it came from."""
         if not any(observer.answer(request, outcome) for observer in self._observers):
-            self.link.reply(request, replies.encode_reply(request, outcome))
+            self.link.reply(request, requests.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         if stream == "height":

@@ -1,15 +1,20 @@
-"""Decode the JSON payloads of ``req/<verb>`` strictly."""
+"""Decode the JSON payloads of ``req/<verb>`` strictly, and encode those of ``res/<verb>``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
+from msgspec.structs import asdict
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.results import ReferenceTaken, RequestResult
+from tacshade_edge.protocol.serial.commands import error_word
 from tacshade_edge.quoting import escaped
-from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 
 Verb = Literal["reference", "profile", "status", "record", "stitch", "replay"]
 StitchAction = Literal["begin", "add", "end", "abort", "status"]
@@ -22,32 +27,32 @@ RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not start
 _ERROR_CHARS_MAX: Final = 200
 
 
-class _Body(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class _Body(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, frozen=True):
     transaction: Transaction = None
 
 
-class _Profile(_Body):
+class _Profile(_Body, frozen=True):
     profile: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
 
 
 RecordingFormat = Literal["folder", "mcap"]
 
 
-class _RecordStart(_Body, tag_field="action", tag="start"):
+class _RecordStart(_Body, frozen=True, tag_field="action", tag="start"):
     seconds: Annotated[float, msgspec.Meta(gt=0, le=RECORD_S_MAX)]
     name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
     format: RecordingFormat = "folder"
 
 
-class _RecordStop(_Body, tag_field="action", tag="stop"):
+class _RecordStop(_Body, frozen=True, tag_field="action", tag="stop"):
     pass
 
 
-class _RecordMark(_Body, tag_field="action", tag="mark"):
+class _RecordMark(_Body, frozen=True, tag_field="action", tag="mark"):
     text: Annotated[str, msgspec.Meta(max_length=200)] = ""
 
 
-class _Stitch(_Body):
+class _Stitch(_Body, frozen=True):
     action: StitchAction
     name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
 
@@ -56,7 +61,13 @@ class _Stitch(_Body):
             raise ValueError(f"found a name with the action {self.action}")
 
 
-class _Replay(_Body):
+class PlaybackCommand(_Body, frozen=True):
+    """A ``req/replay`` command to a playing recording; None leaves a setting unchanged.
+
+    `step` and `back` show the next or previous frame and then pause; `seek_s` jumps to this time after the first frame;
+    `speed` is a multiple of the recording's pace.
+    """
+
     paused: bool | None = None
     step: bool = False
     back: bool = False
@@ -74,7 +85,7 @@ _BODIES: Final[dict[Verb, Any]] = {
     "status": _Body,
     "record": _RecordStart | _RecordStop | _RecordMark,
     "stitch": _Stitch,
-    "replay": _Replay,
+    "replay": PlaybackCommand,
 }
 _KEYS: Final[dict[Verb, str]] = {
     "profile": '"profile": NAME, ',
@@ -88,60 +99,12 @@ _KEYS: Final[dict[Verb, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class PlaybackCommand:
-    """A ``req/replay`` command to a playing recording; None leaves a setting unchanged.
-
-    Attributes
-    ----------
-    paused : bool or None
-    step : bool
-        Show the next frame, then pause.
-    back : bool
-        Show the previous frame, then pause.
-    seek_s : float or None
-        Jump to this time after the first frame.
-    speed : float or None
-        Multiple of the recording's pace.
-    """
-
-    paused: bool | None = None
-    step: bool = False
-    back: bool = False
-    seek_s: float | None = None
-    speed: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Request:
-    """One command from ``req/<verb>``.
+    """One command from ``req/<verb>``; fields that its verb does not have are empty.
 
-    Attributes
-    ----------
-    verb : str
-        ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report),
-        ``record`` (start, mark or stop a recording), ``stitch`` (a stitching session),
-        ``replay`` (control a playing recording).
-    transaction : str, int or None
-        The caller's own mark, echoed in the reply.
-    profile : str
-        Empty unless the verb is ``profile``.
-    action : str
-        ``start``, ``mark`` or ``stop`` for the verb ``record``, a `StitchAction` for ``stitch``, else empty.
-    name : str
-        Name of the recording to start or the session to begin; if empty, the daemon chooses one.
-    seconds : float
-        Length of the recording.
-    text : str
-        Text of a mark; may be empty.
-    playback : PlaybackCommand or None
-        The command of the verb ``replay``.
-    format : str
-        Format of the recording: a folder of images with their table, or MCAP files.
-    response_topic : str or None
-        MQTT 5: the topic that the caller wants the reply on, ``res/...`` below the sensor's topics; None is
-        ``res/<verb>``.
-    correlation : bytes or None
-        MQTT 5: correlation data, echoed with the reply.
+    `transaction` is the caller's own mark, echoed in the reply. MQTT 5's `response_topic`, ``res/...`` below the
+    sensor's topics, replaces ``res/<verb>``, and the reply also echoes `correlation`. Without a `name`, the daemon
+    names the recording or session itself. `format` is that of the recording to start, `text` that of a mark.
     """
 
     verb: Verb
@@ -162,10 +125,7 @@ def parse_request(
 ) -> Request:
     """Decode the payload of ``req/<verb>``; an empty one means ``{}``.
 
-    Raises
-    ------
-    DecodeError
-        Unknown verb, not JSON, unknown or missing key, wrong type, longer than 4096 bytes.
+    Raises DecodeError for an unknown verb, no JSON, an unknown or missing key, a wrong type or more than 4096 bytes.
     """
     known = next((v for v in _BODIES if v == verb), None)
     if known is None:
@@ -179,18 +139,12 @@ def parse_request(
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         found = f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected {_expected(known)}"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST) from error
-    request = Request(known, body.transaction, response_topic=response_topic, correlation=correlation)
-    if isinstance(body, _Profile):
-        return replace(request, profile=body.profile)
-    if isinstance(body, _RecordStart):
-        return replace(request, action="start", name=body.name or "", seconds=body.seconds, format=body.format)
-    if isinstance(body, _Replay):
-        return replace(request, playback=PlaybackCommand(body.paused, body.step, body.back, body.seek_s, body.speed))
-    if isinstance(body, _RecordMark):
-        return replace(request, action="mark", text=body.text)
-    if isinstance(body, _Stitch):
-        return replace(request, action=body.action, name=body.name or "")
-    return replace(request, action="stop") if isinstance(body, _RecordStop) else request
+    fields = {name: value for name, value in asdict(body).items() if value is not None}
+    if tag := body.__struct_config__.tag:
+        fields["action"] = tag
+    if isinstance(body, PlaybackCommand):
+        fields = {"transaction": body.transaction, "playback": body}
+    return Request(known, response_topic=response_topic, correlation=correlation, **fields)
 
 
 def parse_transaction(payload: bytes) -> str | int | None:
@@ -199,6 +153,25 @@ def parse_transaction(payload: bytes) -> str | int | None:
         return msgspec.json.decode(payload[:REQUEST_BYTES_MAX], type=_Echo).transaction
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
+
+
+def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bytes:
+    """The reply to a request: ``{"transaction", "ok": true, "result": {...}}``, or that of `encode_error`.
+
+    The error of ``stitch`` begins with the serial line's word for its code.
+    """
+    if isinstance(outcome, Reason):
+        word = f"{error_word(outcome.code)}: " if request.verb == "stitch" else ""
+        return encode_error(request.transaction, Reason(outcome.code, f"{word}{outcome.text}"))
+    result = outcome if isinstance(outcome, Mapping) else outcome.figures()
+    if isinstance(outcome, ReferenceTaken):
+        result = {**result, **reason_fields(outcome.unstored)}
+    return encode_json({"transaction": request.transaction, "ok": True, "result": result})
+
+
+def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
+    """The reply to a request that failed: ``{"transaction", "ok": false, "error": "one line", "reason_code"}``."""
+    return encode_json({"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code})
 
 
 def _expected(verb: Verb) -> str:

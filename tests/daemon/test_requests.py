@@ -14,8 +14,7 @@ from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol.replies import encode_reply
-from tacshade_edge.protocol.requests import Request
+from tacshade_edge.protocol.requests import Request, encode_reply
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Frame, Need
 

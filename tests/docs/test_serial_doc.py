@@ -19,9 +19,9 @@ import pytest
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.serial.counts import LinkCounts
+from tacshade_edge.protocol.serial.commands import USAGE
+from tacshade_edge.protocol.serial.framing import LinkCounts
 from tacshade_edge.protocol.serial.link import SerialLink
-from tacshade_edge.protocol.serial.verbs import USAGE
 from tacshade_edge.types import QUANTITIES
 from tools.examples.serial.host import Daemon
 from tools.testbed.patience import patience

@@ -29,7 +29,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
 from tacshade_edge.protocol.serial.line import parse_line, seal
 from tacshade_edge.protocol.serial.pose import PoseSample, PoseValues, encode_pose
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -245,7 +245,7 @@ class PtyRobot:
         sample = PoseSample(self._pose_seq, self.clock.read_ns(at_s), self._where(at_s))
         self._pose_seq = (self._pose_seq + 1) % 65536
         if self._mode_binary:
-            self._send(cobs.encode(encode_pose(sample)) + b"\0", now_s)
+            self._send(cobs_encode(encode_pose(sample)) + b"\0", now_s)
         else:
             values = " ".join(f"{value:.6g}" for value in sample.values)
             self._send(seal(f"#{sample.seq} POSE {sample.t_ns} {values}"), now_s)
@@ -253,7 +253,7 @@ class PtyRobot:
     def _command(self, text: str, now_s: float) -> None:
         self._seq = (self._seq + 1) % 65536
         line = seal(f"#{self._seq} {text}")
-        self._send(cobs.encode(b"L" + line[:-1]) + b"\0" if self._mode_binary else line, now_s)
+        self._send(cobs_encode(b"L" + line[:-1]) + b"\0" if self._mode_binary else line, now_s)
 
     def _send(self, data: bytes, now_s: float, *, plain: bool = False) -> None:
         if not plain and self._rng.random() < self.faults.lose:
@@ -305,7 +305,7 @@ class PtyRobot:
         while (end := min((i for i in map(self._buffer.find, (b"\n", b"\0")) if i >= 0), default=-1)) >= 0:
             raw, zero, self._buffer = self._buffer[:end], self._buffer[end] == 0, self._buffer[end + 1 :]
             try:
-                line = parse_line(cobs.decode(raw)[1:] if zero else raw) if raw else None
+                line = parse_line(cobs_decode(raw)[1:] if zero else raw) if raw else None
             except DecodeError as error:
                 line = Reason(ReasonCode.NOT_A_LINE, str(error))
             if isinstance(line, Reason):

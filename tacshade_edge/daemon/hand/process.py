@@ -19,7 +19,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
 from tacshade_edge.free_memory import share_free_memory
 from tacshade_edge.hand.aggregator import HandAggregator
-from tacshade_edge.protocol import json_payload, replies
+from tacshade_edge.protocol import json_payload, requests
 from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -147,7 +147,7 @@ class HandProcess:
 
     def _on_request(self, request: Request) -> None:
         text = f"a hand accepts no requests; send req/{request.verb} to one of its sensors"
-        self._link.reply(request, replies.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
+        self._link.reply(request, requests.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
 
 
 def run(hand: Hand, lines: Lines) -> None:

@@ -14,7 +14,7 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol import messages, replies
+from tacshade_edge.protocol import messages, requests
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.recording.recording import RecordedFrame
@@ -130,9 +130,9 @@ class ReplayLink:
         if request.playback is not None and self._playback is not None:
             self._reported_s = 0.0
             status = self._playback.command(request.playback)
-            self._link.reply(request, replies.encode_result(request.transaction, status))
+            self._link.reply(request, requests.encode_reply(request, status))
             return
         refusal = Reason(
             ReasonCode.UNAVAILABLE, "a replay does not accept this request (replay --play accepts req/replay)"
         )
-        self._link.reply(request, replies.encode_error(request.transaction, refusal))
+        self._link.reply(request, requests.encode_error(request.transaction, refusal))

@@ -12,10 +12,10 @@ from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol.serial.answers import PortOpened, PosesMissing, SyncChanged
+from tacshade_edge.protocol.serial.commands import PortOpened, PosesMissing, SyncChanged
+from tacshade_edge.protocol.serial.framing import Mode
 from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
 from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
-from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)

@@ -20,9 +20,8 @@ from tacshade_edge.protocol.results import (
     SerialResult,
     SessionResult,
 )
+from tacshade_edge.protocol.serial.commands import Command, parse_touch
 from tacshade_edge.protocol.serial.link import SerialLink
-from tacshade_edge.protocol.serial.touch import parse_touch
-from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Reconstruction
 
@@ -171,7 +170,7 @@ class SerialCommands:
             error_us=sync.error_us,
             drift_ppm=sync.drift_ppm,
             poses=counts.poses,
-            poses_lost=counts.poses_lost,
+            lost=counts.poses_lost,
             damaged=counts.damaged,
             garbage=counts.garbage,
         )

@@ -19,8 +19,8 @@ import msgspec
 
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, PortState
+from tacshade_edge.protocol.serial.framing import Mode
 from tacshade_edge.protocol.serial.link import PoseArrived
-from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.protocol.serial.pose import PoseSample
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from tacshade_edge.protocol.results import TouchSwitched
-from tacshade_edge.protocol.serial.touch import TouchAsked, TouchSeen, too_slow
+from tacshade_edge.protocol.serial.commands import TouchAsked, TouchSeen, too_slow
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Reconstruction
 

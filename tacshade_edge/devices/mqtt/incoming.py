@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from paho.mqtt.client import MQTTMessage
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.replies import encode_error
-from tacshade_edge.protocol.requests import Request, parse_request, parse_transaction
+from tacshade_edge.protocol.requests import Request, encode_error, parse_request, parse_transaction
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,19 +48,10 @@ class ConvertedTime:
 
 @dataclass(frozen=True, slots=True)
 class SyncState:
-    """How well the robot's clock is known.
+    """How well the robot's clock is known, and why it is unknown or what is wrong with it.
 
-    Attributes
-    ----------
-    mode : str
-    reason : Reason or None
-        Why the clock is unknown, or what is wrong with it.
-    offset_ns : int
-        Daemon minus robot, now; 0 with ``none``.
-    drift_ppm : float
-        How slow the robot's clock is, in ppm.
-    error_us : int
-        The error bound, now; 0 with ``none``.
+    `offset_ns` is daemon minus robot and `error_us` the error bound, both now and 0 with ``none``; `drift_ppm` is how
+    slow the robot's clock is.
     """
 
     mode: SyncMode
@@ -114,12 +105,7 @@ class _Line:
 
 
 class ClockSync:
-    """The synchronisation with one robot's clock.
-
-    Attributes
-    ----------
-    counts : SyncCounts
-    """
+    """The synchronisation with one robot's clock."""
 
     def __init__(self) -> None:
         self.counts = SyncCounts()

@@ -21,19 +21,9 @@ _HEAD = re.compile(r"(?:#(\S*) +)?(\S+) *(.*)")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A parsed line.
+    """A parsed line: its number (0 to 65535), verb in capitals and arguments, and whether it had a checksum.
 
-    Attributes
-    ----------
-    seq : int or None
-        0 to 65535.
-    verb : str
-        In capitals.
-    args : tuple of str
-    text : str
-        Everything before the ``*``: two lines with the same number and text are one line, sent twice.
-    checked : bool
-        Whether the line had a checksum (a wrong one is rejected).
+    `text` is everything before the ``*``: two lines with the same number and text are one line, sent twice.
     """
 
     seq: int | None
@@ -54,13 +44,15 @@ def seal(text: str) -> bytes:
     return b"%s*%04X\n" % (raw, crc16(raw))
 
 
+def printable(text: str) -> str:
+    """Convert `text` to printable ASCII and shorten it to fit on a line with its checksum."""
+    return "".join(c if " " <= c <= "~" and c != "*" else "?" for c in text[: LINE_BYTES_MAX - 6])
+
+
 def parse_line(raw: bytes) -> Line | Reason:
     """Parse a line without its end.
 
-    Returns
-    -------
-    Line or Reason
-        Why it is not valid: NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
+    The reason is NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
     """
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(

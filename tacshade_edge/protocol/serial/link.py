@@ -12,25 +12,23 @@ from typing import Final
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.results import SerialResult
-from tacshade_edge.protocol.serial import cobs
-from tacshade_edge.protocol.serial.answers import (
+from tacshade_edge.protocol.serial.commands import (
     PROTOCOL_VERSION,
+    Command,
     LinkEvent,
     answer_text,
     event_text,
+    help_text,
+    parse_command,
+    parse_hello,
 )
-from tacshade_edge.protocol.serial.counts import LinkCounts
-from tacshade_edge.protocol.serial.framing import Framing
-from tacshade_edge.protocol.serial.line import Line, crc16, parse_line
-from tacshade_edge.protocol.serial.modes import Mode
-from tacshade_edge.protocol.serial.output import Output
-from tacshade_edge.protocol.serial.pose import PoseSample, decode_pose, parse_pose
-from tacshade_edge.protocol.serial.pose_sequence import PoseSequence
-from tacshade_edge.protocol.serial.replies import Repeat, ReplyCache
-from tacshade_edge.protocol.serial.verbs import Command, help_text, parse_command, parse_hello
+from tacshade_edge.protocol.serial.framing import Framing, LinkCounts, Mode, cobs_decode, cobs_encode
+from tacshade_edge.protocol.serial.line import SEQ_MODULO, Line, crc16, parse_line, seal
+from tacshade_edge.protocol.serial.pose import PoseSample, PoseSequence, decode_pose, parse_pose
 from tacshade_edge.reasons import Reason, ReasonCode
 
 BAD_POSE_PERIOD_NS: Final = 1_000_000_000
+REPLIES_KEPT: Final = 64
 _OURS: Final = frozenset({"OK", "ERR", "EVT"})  # echoes; answering them would never end
 
 
@@ -54,6 +52,57 @@ Received = Command | PoseArrived | Greeted
 
 
 @dataclass(slots=True)
+class _Entry:
+    """A numbered line; `reply` is None while its command is still in progress."""
+
+    text: str
+    command: Command
+    reply: str | None = None
+
+
+class ReplyCache:
+    """The newest numbers of one session, from one ``HELLO``, whose number is `newest`, to the next.
+
+    Each number is executed once, and its reply is kept for repeats.
+    """
+
+    def __init__(self, newest: int | None = None) -> None:
+        self._newest = newest
+        self._entries: dict[int, _Entry] = {}
+
+    def admit(self, text: str, command: Command) -> _Entry | Reason | None:
+        """Register a numbered line: None if it must be executed, its entry if it was before, or why it is rejected."""
+        seq = command.seq
+        if seq is None:
+            return None
+        known = self._entries.get(seq)
+        if known is not None:
+            if known.text == text:
+                return known
+            return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new number")
+        behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
+        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be gone: it may have been executed
+            text = f"found an old line number, expected HELLO or a number above #{self._newest}"
+            return Reason(ReasonCode.NUMBER_STALE, text)
+        if self._newest is None or behind >= SEQ_MODULO // 2:
+            self._newest = seq
+            for old in [s for s in self._entries if (seq - s) % SEQ_MODULO >= REPLIES_KEPT]:
+                del self._entries[old]
+        self._entries[seq] = _Entry(text, command)
+        return None
+
+    def keep(self, command: Command, reply: str) -> bool:
+        """Keep the reply to a command; False if its number no longer belongs to it."""
+        if command.seq is None:
+            return True
+        entry = self._entries.get(command.seq)
+        if entry is None or entry.command is not command:
+            return False
+        entry.reply = reply
+        return True
+
+
+@dataclass(slots=True)
 class _Session:
     """The state from one HELLO to the next."""
 
@@ -63,19 +112,14 @@ class _Session:
 
 
 class SerialLink:
-    """One robot's channel.
-
-    Attributes
-    ----------
-    counts : LinkCounts
-    """
+    """One robot's channel."""
 
     def __init__(self) -> None:
         self.counts = LinkCounts()
         self._framing = Framing(self.counts)
         self._session = _Session()
         self._poses = PoseSequence()
-        self._output = Output(self._framing, self.counts)
+        self._output = bytearray()
         self._bad_pose_answered_ns: int | None = None
 
     @property
@@ -89,17 +133,9 @@ class SerialLink:
         return self._framing.buffered_bytes
 
     def receive(self, data: bytes, now_ns: int) -> list[Received]:
-        """Process the next bytes, however they are split.
+        """Process the next bytes, however they are split, which arrived at `now_ns`.
 
-        Parameters
-        ----------
-        data : bytes
-        now_ns : int
-            When they arrived.
-
-        Returns
-        -------
-        The caller's tasks, in order; each `Command` needs one `answer`, now or later.
+        Returns the caller's tasks, in order; each `Command` needs one `answer`, now or later.
         """
         self.counts.bytes += len(data)
         self._framing.feed(data)
@@ -111,25 +147,36 @@ class SerialLink:
     def answer(self, command: Command, outcome: SerialResult | Reason) -> None:
         """Answer ``OK`` or ``ERR``; ignore a command of an earlier session, whose number may mean another one now."""
         text = answer_text(command.seq, outcome, command.verb)
-        if command.seq is None or self._session.replies.keep(command.seq, command, text):
-            self._output.send(text)
+        if self._session.replies.keep(command, text):
+            self._send(text)
 
     def notify(self, event: LinkEvent) -> None:
         """Send an unsolicited ``EVT``."""
-        self._output.send(event_text(event))
+        self._send(event_text(event))
 
     def take_output(self) -> bytes:
         """Return the bytes to write to the port and forget them."""
-        return self._output.take()
+        output = bytes(self._output)
+        self._output.clear()
+        return output
 
     def interrupted(self) -> None:
         """Discard partial input and pending output after the port was lost; keep everything else."""
         self._framing.clear()
-        self._output.take()
+        self._output.clear()
+
+    def _send(self, text: str) -> None:
+        line = seal(text)
+        self._output += line if self.mode == "ASCII" else cobs_encode(b"L" + line[:-1]) + b"\0"
+
+    def _refuse(self, seq: int | None, reason: Reason) -> None:
+        """Answer ``ERR`` to a line that was not passed on as a command."""
+        self.counts.refused += 1
+        self._send(answer_text(seq, reason))
 
     def _frame(self, frame: bytes, now_ns: int) -> Iterator[Received]:
         try:
-            raw = cobs.decode(frame)
+            raw = cobs_decode(frame)
         except DecodeError:
             self.counts.discard(len(frame))
             return
@@ -154,7 +201,7 @@ class SerialLink:
             else:
                 self.counts.damaged += line.code == ReasonCode.BAD_CHECKSUM
                 if raw.split(b" ", 1)[0] not in (b"OK", b"ERR", b"EVT"):
-                    self._output.refuse(None, line)
+                    self._refuse(None, line)
             return
         self.counts.lines += 1
         if line.verb in _OURS:
@@ -162,7 +209,7 @@ class SerialLink:
         elif self._session.crc_required and not line.checked:
             self.counts.damaged += 1
             text = "found no checksum, expected one, because HELLO asked for checksums"
-            self._output.refuse(None, Reason(ReasonCode.BAD_CHECKSUM, text))
+            self._refuse(None, Reason(ReasonCode.BAD_CHECKSUM, text))
         elif line.verb == "POSE":
             try:
                 sample = parse_pose(line)
@@ -173,7 +220,9 @@ class SerialLink:
         elif line.verb == "HELLO":
             yield from self._hello(line)
         elif line.verb == "HELP":
-            self._help(line)
+            found = help_text(line)
+            self.counts.refused += isinstance(found, Reason)
+            self._send(answer_text(line.seq, found))
         else:
             yield from self._command(line, now_ns)
 
@@ -192,55 +241,43 @@ class SerialLink:
         answered_ns = self._bad_pose_answered_ns
         if answered_ns is None or now_ns - answered_ns >= BAD_POSE_PERIOD_NS:
             self._bad_pose_answered_ns = now_ns
-            self._output.refuse(seq, Reason(ReasonCode.BAD_ARGUMENTS, f"POSE: {text}"))
+            self._refuse(seq, Reason(ReasonCode.BAD_ARGUMENTS, f"POSE: {text}"))
 
     def _hello(self, line: Line) -> Iterator[Received]:
         hello = parse_hello(line)
         if isinstance(hello, Reason):
-            self._output.refuse(line.seq, hello)
+            self._refuse(line.seq, hello)
             return
-        if not hello.boot or hello.boot != self._session.boot:  # otherwise a repeated HELLO: the numbers stay known
-            self._session = _Session(hello.boot, replies=ReplyCache(line.seq))
+        boot, crc_required = hello
+        if not boot or boot != self._session.boot:  # otherwise a repeated HELLO: the numbers stay known
+            self._session = _Session(boot, replies=ReplyCache(line.seq))
             self._poses = PoseSequence()
-            yield Greeted(hello.boot)
-        self._session.crc_required = hello.crc_required
-        crc = "req" if hello.crc_required else "opt"
-        self._output.accept(line.seq, f"tacshade {PROTOCOL_VERSION} crc={crc} mode={self.mode}")
-
-    def _help(self, line: Line) -> None:
-        text = help_text(line)
-        if isinstance(text, Reason):
-            self._output.refuse(line.seq, text)
-        else:
-            self._output.accept(line.seq, text)
+            yield Greeted(boot)
+        self._session.crc_required = crc_required
+        crc = "req" if crc_required else "opt"
+        self._send(answer_text(line.seq, f"tacshade {PROTOCOL_VERSION} crc={crc} mode={self.mode}"))
 
     def _command(self, line: Line, now_ns: int) -> Iterator[Received]:
-        parsed = parse_command(line, now_ns)
-        if isinstance(parsed, Reason):
-            self._output.refuse(line.seq, parsed)
+        command = parse_command(line, now_ns)
+        if isinstance(command, Reason):
+            self._refuse(line.seq, command)
             return
-        command = parsed if isinstance(parsed, Command) else None
-        if line.seq is not None:
-            repeat = self._session.replies.admit(line.seq, line.text.strip(" "), command)
-            if isinstance(repeat, Reason):
-                self._output.refuse(line.seq, repeat)
-                return
-            if isinstance(repeat, Repeat):
-                self.counts.repeats += 1
-                if repeat.reply is not None:
-                    self._output.send(repeat.reply)
-                return
-        if isinstance(parsed, Command):
-            self.counts.commands += 1
-            yield parsed
+        admitted = self._session.replies.admit(line.text.strip(" "), command)
+        if isinstance(admitted, Reason):
+            self._refuse(line.seq, admitted)
+        elif admitted is not None:
+            self.counts.repeats += 1
+            if admitted.reply is not None:
+                self._send(admitted.reply)
+        elif command.verb == "MODE":
+            mode: Mode = "BIN" if command.args[0] == "BIN" else "ASCII"
+            text = answer_text(command.seq, mode)
+            self._session.replies.keep(command, text)
+            self._send(text)  # still in the old mode
+            self._framing.switch(mode)  # the bytes received after this line are in the new one already
         else:
-            self._set_mode(line.seq, parsed)
-
-    def _set_mode(self, seq: int | None, mode: Mode) -> None:
-        if seq is not None:
-            self._session.replies.keep(seq, None, f"OK {seq} {mode}")
-        self._output.accept(seq, mode)  # still in the old mode
-        self._framing.switch(mode)  # the bytes received after this line are in the new one already
+            self.counts.commands += 1
+            yield command
 
 
 def _undamaged(raw: bytes) -> bool:

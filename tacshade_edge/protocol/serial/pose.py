@@ -1,4 +1,4 @@
-"""Parse and encode one pose of the robot, as a line and in binary."""
+"""Parse and encode the robot's poses, as lines and in binary, and track their numbers."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tacshade_edge.protocol.serial.line import SEQ_MODULO, Line, crc16
 T_NS_MAX: Final = 2**63 - 1
 POSITION_MAX_MM: Final = 1e6
 UNIT_TOLERANCE: Final = 1e-2  # robots often send only four decimals
+POSES_BEHIND: Final = 64  # a pose up to this far behind is a repeat; an older number restarts the count
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,19}")
@@ -26,16 +27,9 @@ PoseValues = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class PoseSample:
-    """One pose as the robot sent it.
+    """One pose as the robot sent it: its number modulo 65536, if any, and its time on the robot's clock.
 
-    Attributes
-    ----------
-    seq : int or None
-        Number of the pose in its stream, modulo 65536.
-    t_ns : int
-        Time in ns on the robot's clock.
-    values : 7 floats
-        ``base_T_flange``: x, y, z in mm, unit quaternion w, x, y, z.
+    `values` are ``base_T_flange``: x, y, z in mm, unit quaternion w, x, y, z.
     """
 
     seq: int | None
@@ -87,3 +81,26 @@ def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSampl
     if not abs(norm - 1) <= UNIT_TOLERANCE:
         raise DecodeError(f"found a quaternion of length {norm:.4g}, expected length 1")
     return PoseSample(seq, t_ns, (x, y, z, w / norm, i / norm, j / norm, k / norm))
+
+
+class PoseSequence:
+    """Tracks pose numbers modulo 65536."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+
+    def missing_before(self, seq: int | None) -> int | None:
+        """The number of poses missing between this pose and the previous one; None for a repeated pose.
+
+        A pose without a number (None) follows the previous one.
+        """
+        if seq is None:
+            return 0
+        missing = 0
+        if self._newest is not None:
+            ahead = (seq - self._newest) % SEQ_MODULO
+            if -ahead % SEQ_MODULO < POSES_BEHIND:
+                return None
+            missing = ahead - 1 if ahead < SEQ_MODULO // 2 else 0
+        self._newest = seq
+        return missing

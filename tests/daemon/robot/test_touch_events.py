@@ -19,9 +19,9 @@ from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.results import TouchSwitched
-from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.commands import TouchAsked
+from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
 from tacshade_edge.protocol.serial.line import seal
-from tacshade_edge.protocol.serial.touch import TouchAsked
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, Touch
 from tools.testbed.patience import patience, wait_until
@@ -69,7 +69,7 @@ class Bench:
                 byte = os.read(self.master, 1)
                 if byte in b"\n\0" and self._heard:
                     raw, self._heard = self._heard, b""
-                    text = cobs.decode(raw)[1:] if byte == b"\0" else raw
+                    text = cobs_decode(raw)[1:] if byte == b"\0" else raw
                     return text.decode().rpartition("*")[0]
                 self._heard += byte
         raise AssertionError(f"no line, only {self._heard!r}")
@@ -77,7 +77,7 @@ class Bench:
     def ask(self, text: str, *, binary: bool = False) -> str:
         """The answer to a line that is sent one byte at a time."""
         sealed = seal(f"#{next(self._numbers)} {text}")
-        for byte in cobs.encode(b"L" + sealed[:-1]) + b"\0" if binary else sealed:
+        for byte in cobs_encode(b"L" + sealed[:-1]) + b"\0" if binary else sealed:
             os.write(self.master, bytes([byte]))
         return self.line()
 

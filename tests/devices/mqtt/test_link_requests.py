@@ -10,7 +10,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from support.link_rig import BASE, Rig, broker_test, needs_mosquitto
 
-from tacshade_edge.protocol import replies
+from tacshade_edge.protocol import requests
 from tacshade_edge.protocol.requests import Request
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
@@ -23,7 +23,7 @@ class TestRequests:
         subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')
         request = rig.requests.get(timeout=patience(5))
         assert request == Request("profile", "t1", "fast")
-        rig.link.reply(request, replies.encode_result(request.transaction, {"profile": "fast"}))
+        rig.link.reply(request, requests.encode_reply(request, {"profile": "fast"}))
         assert json.loads(subscriber.wait_for(f"{BASE}/res/profile")[0])["transaction"] == "t1"
 
     def test_mqtt5_client_is_answered_where_it_asked(self, rig: Rig, broker: Broker) -> None:

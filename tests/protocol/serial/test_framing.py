@@ -1,15 +1,61 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from tacshade_edge.protocol.serial import cobs
-from tacshade_edge.protocol.serial.counts import LinkCounts
-from tacshade_edge.protocol.serial.framing import FRAME_BYTES_MAX, Framing, Unit
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.serial.framing import (
+    FRAME_BYTES_MAX,
+    Framing,
+    LinkCounts,
+    Mode,
+    Unit,
+    cobs_decode,
+    cobs_encode,
+)
 from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
-from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.protocol.serial.pose import PoseSample, encode_pose
 
-POSE = cobs.encode(encode_pose(PoseSample(1, 2, (0, 0, 0, 1, 0, 0, 0))))
+FULL = bytes(range(1, 255))
+POSE = cobs_encode(encode_pose(PoseSample(1, 2, (0, 0, 0, 1, 0, 0, 0))))
+
+
+@pytest.mark.parametrize(
+    ("data", "encoded"),
+    [  # the examples of the paper's readers: Wikipedia's table
+        (b"\0", "0101"),
+        (b"\0\0", "010101"),
+        (b"\0\x11\0", "01021101"),
+        (b"\x11\x22\0\x33", "0311220233"),
+        (b"\x11\x22\x33\x44", "0511223344"),
+        (b"\x11\0\0\0", "0211010101"),
+        (FULL, "ff" + FULL.hex()),
+        (b"\0" + FULL, "01ff" + FULL.hex()),
+        (FULL + b"\xff", "ff" + FULL.hex() + "02ff"),
+        (FULL + b"\0", "ff" + FULL.hex() + "0101"),
+        (b"", "01"),
+        (b"\x01", "0201"),
+        (b"\x22\x01", "032201"),
+    ],
+)
+def test_known_frames(data: bytes, encoded: str) -> None:
+    assert cobs_encode(data).hex() == encoded
+    assert cobs_decode(bytes.fromhex(encoded)) == data
+
+
+@given(st.binary(max_size=600) | st.lists(st.sampled_from([b"\0", FULL, b"\x05" * 253]), max_size=5).map(b"".join))
+def test_every_frame_comes_back_and_has_no_zero(data: bytes) -> None:
+    encoded = cobs_encode(data)
+    assert b"\0" not in encoded
+    assert len(encoded) <= len(data) + 1 + len(data) // 254
+    assert cobs_decode(encoded) == data
+
+
+@pytest.mark.parametrize("wrong", ["05112233", "0311002202", "ff01"])
+def test_a_cut_frame_or_one_with_a_zero_is_refused(wrong: str) -> None:
+    with pytest.raises(DecodeError, match="COBS"):
+        cobs_decode(bytes.fromhex(wrong))
 
 
 def units(framing: Framing, data: bytes, chunk: int) -> list[Unit]:

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.serial import cobs
-from tacshade_edge.protocol.serial.answers import ERROR_WORDS
+from tacshade_edge.protocol.serial.commands import ERROR_WORDS
+from tacshade_edge.protocol.serial.framing import cobs_encode
 from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX, Line, crc16, parse_line, seal
 from tacshade_edge.protocol.serial.pose import PoseSample, decode_pose, encode_pose, parse_pose
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -66,7 +66,7 @@ def test_two_wrong_bits_of_a_line_are_noticed(first: int, distance: int) -> None
 def test_binary_pose(vector: dict[str, Any]) -> None:
     sample = PoseSample(vector["seq"], vector["t_ns"], tuple(vector["values"]))  # type: ignore[arg-type]
     assert encode_pose(sample).hex() == vector["hex"]
-    assert (cobs.encode(encode_pose(sample)) + b"\0").hex() == vector["frame"]
+    assert (cobs_encode(encode_pose(sample)) + b"\0").hex() == vector["frame"]
     assert decode_pose(bytes.fromhex(vector["hex"])) == sample
 
 

@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.protocol.results import SessionBegun
-from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.commands import Command
+from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
 from tacshade_edge.protocol.serial.line import parse_line, seal
-from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, Received, SerialLink
+from tacshade_edge.protocol.serial.link import REPLIES_KEPT, Greeted, PoseArrived, Received, SerialLink
 from tacshade_edge.protocol.serial.pose import PoseSample, encode_pose
-from tacshade_edge.protocol.serial.replies import REPLIES_KEPT
-from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "serial.json").read_text())
@@ -57,13 +56,13 @@ def texts(output: bytes) -> list[str]:
     """Replies as text: lines, then frames where the mode changed."""
     lines, newline, frames = output.rpartition(b"\n")
     raws = lines.split(b"\n") if newline else []
-    raws += [cobs.decode(frame)[1:] for frame in frames.split(b"\0") if frame]
+    raws += [cobs_decode(frame)[1:] for frame in frames.split(b"\0") if frame]
     assert not any(isinstance(parse_line(raw), Reason) or len(raw) > 255 for raw in raws)
     return [raw.decode().rpartition("*")[0] for raw in raws]
 
 
 def frame(raw: bytes) -> bytes:
-    return cobs.encode(raw) + b"\0"
+    return cobs_encode(raw) + b"\0"
 
 
 def pose(seq: int, t_ns: int = 0) -> bytes:

@@ -1,0 +1,296 @@
+"""The verbs of the robot's line: their arguments, and the texts of ``OK``, ``ERR`` and ``EVT`` lines."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.results import ClockRead, SerialResult
+from tacshade_edge.protocol.serial.line import Line, printable, seal
+from tacshade_edge.protocol.serial.pose import T_NS_MAX, parse_time
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import QUANTITIES
+
+PROTOCOL_VERSION: Final = 1
+NAMES_MAX: Final = 6
+RATE_DEFAULT_HZ: Final = 60
+RATE_MAX_HZ: Final = 1000
+SHARE: Final = 0.9
+"""Share of the line's capacity for touch events; the rest stays free for answers and other events."""
+_BITS_PER_BYTE: Final = 10  # with start and stop bit
+_BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
+_VALUE_BYTES_MAX: Final = 8
+_SEQ_MAX: Final = 2**32 - 1
+ERROR_WORDS: Final[dict[ReasonCode, str]] = {
+    ReasonCode.UNKNOWN_VERB: "VERB",
+    ReasonCode.BAD_ARGUMENTS: "ARGS",
+    ReasonCode.BAD_CHECKSUM: "CRC",
+    ReasonCode.BAD_SYNTAX: "SYNTAX",
+    ReasonCode.OTHER_VERSION: "VERSION",
+    ReasonCode.NUMBER_REUSED: "REUSED",
+    ReasonCode.NUMBER_STALE: "STALE",
+    ReasonCode.BUSY: "BUSY",
+    ReasonCode.TIMEOUT: "TIMEOUT",
+    ReasonCode.UNAVAILABLE: "UNAVAILABLE",
+    ReasonCode.NOT_CALIBRATED: "UNCALIBRATED",
+    ReasonCode.CONFIG: "FAILED",
+    ReasonCode.DEVICE: "FAILED",
+    ReasonCode.DECODE: "FAILED",
+    ReasonCode.DISK: "FAILED",
+    ReasonCode.IN_USE: "FAILED",
+    ReasonCode.DISK_FULL: "FAILED",
+    ReasonCode.FRAME_INVALID: "INVALID",
+    ReasonCode.NO_SESSION: "NOSESSION",
+    ReasonCode.BAD_NAME: "NAME",
+    ReasonCode.NAME_TAKEN: "EXISTS",
+    ReasonCode.NO_FRAME: "NOFRAME",
+    ReasonCode.NO_CONTACT: "NOCONTACT",
+    ReasonCode.NO_POSE: "NOPOSE",
+    ReasonCode.MAP_FULL: "FULL",
+    ReasonCode.NO_PRESS: "EMPTY",
+}
+"""The word of each code on the serial line, and at the beginning of an error of ``res/stitch``."""
+_OTHERWISE: Final = "REFUSED"
+_THREE_DECIMALS: Final = ("depth_mm", "disagreement_mm")
+_STITCH_ACTIONS: Final = ("BEGIN", "ADD", "END", "ABORT", "STATUS")
+_BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """A command that must be executed and answered once; two are never equal. Its arguments are valid.
+
+    `arrived_ns` is the time given to `SerialLink.receive`.
+    """
+
+    seq: int | None
+    verb: str
+    args: tuple[str, ...]
+    arrived_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class PortOpened:
+    """The port was opened after an absence of `away_ms`, or 0."""
+
+    away_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class PosesMissing:
+    """Poses are missing, `poses` of them by their numbers."""
+
+    poses: int
+
+
+@dataclass(frozen=True, slots=True)
+class SyncChanged:
+    """The state of the robot's clock changed."""
+
+    mode: str
+    error_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class TouchAsked:
+    """The arguments of ``TOUCH ON``: some of `types.touch.QUANTITIES`, and the greatest number of events per second."""
+
+    names: tuple[str, ...]
+    rate_hz: int
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSeen:
+    """The touch in the frame `seq`: each requested quantity, in the unit of its name, None if unknown.
+
+    `contact` is False once, when the contact ends.
+    """
+
+    seq: int
+    t_ns: int
+    contact: bool
+    values: tuple[tuple[str, float | None], ...]
+
+
+LinkEvent = PortOpened | PosesMissing | SyncChanged | TouchSeen
+
+
+# -- the arguments ----------------------------------------------------------------------------------------------------
+
+
+def parse_touch(args: Sequence[str]) -> TouchAsked | None:
+    """Parse the arguments of ``TOUCH``; None is ``OFF``. Raises DecodeError."""
+    action, *names = args or ("",)
+    if action.upper() == "OFF" and not names:
+        return None
+    if action.upper() != "ON":
+        raise DecodeError(f"found {' '.join(args)[:40]!r}, expected ON or OFF")
+    rate_hz = RATE_DEFAULT_HZ
+    if names and names[-1][0].isdigit():
+        text = names.pop()
+        if not text.isdigit() or not 1 <= int(text) <= RATE_MAX_HZ:
+            raise DecodeError(f"found the RATE {text[:16]}, expected a whole number of Hz from 1 to {RATE_MAX_HZ}")
+        rate_hz = int(text)
+    unknown = next((name for name in names if name not in QUANTITIES), None)
+    if unknown is not None:
+        raise DecodeError(f"found {unknown[:20]!r}, expected one of {' '.join(QUANTITIES)}")
+    if not 1 <= len(set(names)) == len(names) <= NAMES_MAX:
+        raise DecodeError(f"found {len(names)} names, expected 1 to {NAMES_MAX} different names")
+    return TouchAsked(tuple(names), rate_hz)
+
+
+def _check_times(args: Sequence[str]) -> None:
+    for text in args:
+        parse_time(text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Verb:
+    """A verb's arguments as ``HELP`` shows them, how many there may be, and what raises DecodeError for wrong ones.
+
+    If there are `words`, the first argument is one of them, in any case.
+    """
+
+    usage: str = ""
+    least: int = 0
+    most: int = 0
+    words: tuple[str, ...] = ()
+    check: Callable[[Sequence[str]], object] = len
+
+
+_VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
+    "HELLO": _Verb("1 [crc=req|opt] [boot=ID]"),
+    "SYNC": _Verb("t1 [t4]", 1, 2, check=_check_times),
+    "POSE": _Verb("t x y z qw qx qy qz"),
+    "CAPTURE": _Verb(),
+    "REFERENCE": _Verb(),
+    "STITCH": _Verb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
+    "TOUCH": _Verb(
+        f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}", 1, NAMES_MAX + 2, check=parse_touch
+    ),
+    "STATUS": _Verb(),
+    "MODE": _Verb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
+    "HELP": _Verb("[VERB]"),
+}
+USAGE: Final = {name: f"{name} {verb.usage}".strip() for name, verb in _VERBS.items()}
+
+
+def parse_command(line: Line, arrived_ns: int) -> Command | Reason:
+    """Parse a line that takes a number, or return why it is not valid."""
+    verb, args = _VERBS.get(line.verb), line.args
+    if verb is None:
+        return _unknown_verb(line.verb)
+    if verb.words:
+        args = tuple(arg.upper() for arg in args[:1]) + args[1:]
+    if not verb.least <= len(args) <= verb.most or (verb.words and args[0] not in verb.words):
+        return Reason(ReasonCode.BAD_ARGUMENTS, f"expected {USAGE[line.verb]}")
+    try:
+        verb.check(args)
+    except DecodeError as error:
+        return Reason(ReasonCode.BAD_ARGUMENTS, str(error))
+    return Command(line.seq, line.verb, args, arrived_ns)
+
+
+def parse_hello(line: Line) -> tuple[str, bool] | Reason:
+    """The boot's ID, empty if ``HELLO`` names none, and whether it requires checksums, or why it is not valid."""
+    version, *options = line.args or ("",)
+    if version != str(PROTOCOL_VERSION):
+        return Reason(ReasonCode.OTHER_VERSION, f"found {version or 'none'}, expected {PROTOCOL_VERSION}")
+    boot, crc = "", "crc=opt"
+    for option in options:
+        if named := _BOOT.fullmatch(option):
+            boot = named[1]
+        elif option in ("crc=req", "crc=opt"):
+            crc = option
+        else:
+            return Reason(ReasonCode.BAD_ARGUMENTS, f"found {option}, expected {USAGE['HELLO']}")
+    return boot, crc == "crc=req"
+
+
+def help_text(line: Line) -> str | Reason:
+    """The verbs, or the arguments of the verb that ``HELP`` names."""
+    if not line.args:
+        return f"{' '.join(USAGE)}; HELP VERB says more"
+    return USAGE.get(line.args[0].upper()) or _unknown_verb(line.args[0])
+
+
+def _unknown_verb(verb: str) -> Reason:
+    return Reason(ReasonCode.UNKNOWN_VERB, f"found {verb[:32]}, expected one of {' '.join(USAGE)}")
+
+
+# -- the texts --------------------------------------------------------------------------------------------------------
+
+
+def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str = "") -> str:
+    """The line that answers the command `seq`; docs/reference/serial.md describes each. ``-`` if it has no number.
+
+    An ``ERR`` has its code's word, but most reasons of ``REFERENCE`` share one.
+    """
+    number = "-" if seq is None else str(seq)
+    if isinstance(outcome, Reason):
+        refused = verb == "REFERENCE" and outcome.code is not ReasonCode.NOT_CALIBRATED
+        return printable(f"ERR {number} {_OTHERWISE if refused else error_word(outcome.code)} {outcome.text}")
+    if isinstance(outcome, ClockRead):
+        outcome = f"{outcome.t2_ns} {outcome.t3_ns}"
+    elif not isinstance(outcome, str):
+        outcome = " ".join(f"{name}={_figure_text(name, value)}" for name, value in outcome.figures().items())
+    return printable(f"OK {number} {outcome}")
+
+
+def error_word(code: ReasonCode) -> str:
+    """The code's word on the line."""
+    return ERROR_WORDS.get(code, _OTHERWISE)
+
+
+def event_text(event: LinkEvent) -> str:
+    """The line that reports `event`; at the end of a contact, that of a touch has ``contact=0`` and no values."""
+    match event:
+        case PortOpened():
+            away = f" away_ms={event.away_ms}" if event.away_ms else ""
+            return f"EVT READY tacshade {PROTOCOL_VERSION}{away}"
+        case PosesMissing():
+            return f"EVT GAP poses={event.poses}"
+        case SyncChanged():
+            return f"EVT SYNC mode={event.mode} error_us={event.error_us}"
+        case TouchSeen():
+            end = "" if event.contact else " contact=0"
+            values = "".join(f" {name}={_value_text(value)}" for name, value in event.values)
+            return f"EVT TOUCH {event.seq} {event.t_ns}{end}{values}"
+
+
+def _figure_text(name: str, value: object) -> object:
+    if name in _THREE_DECIMALS:
+        return f"{value:.3f}"
+    return int(value) if isinstance(value, bool) else value
+
+
+def _value_text(value: float | None) -> str:
+    """Format with three decimals, a large number with one; ``-`` if unknown or larger than any touch."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return next((text for n in (3, 1) if len(text := f"{value:.{n}f}") <= _VALUE_BYTES_MAX), "-")
+
+
+def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
+    """Why a line of `baud` bits/s cannot carry the events at their longest; None if it can."""
+    longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE
+    if asked.rate_hz * longest_bytes <= most_bytes_s:
+        return None
+    found = f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to {longest_bytes} bytes)"
+    expected = f"expected at most {most_bytes_s:.0f} bytes/s ({100 * SHARE:g} % of {baud} baud)"
+    rate_hz = int(most_bytes_s // longest_bytes)
+    instead = f"a RATE of at most {rate_hz}, " if rate_hz else ""
+    return Reason(ReasonCode.LINE_TOO_SLOW, f"{found}, {expected}; use {instead}fewer names or a faster line")
+
+
+def event_bytes_max(names: Sequence[str]) -> int:
+    """The greatest length in bytes of an event of these quantities, with its checksum, in either mode."""
+    ends, touches = (
+        len(seal(event_text(TouchSeen(_SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)))))
+        for contact in (False, True)
+    )
+    return max(ends, touches + len(names) * (_VALUE_BYTES_MAX - 1)) + _BINARY_MORE
