@@ -8,53 +8,53 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
+import msgspec
 
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.optional_parts import ALONE, Siblings, make_optional_parts
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.pipeline.observer import (
-    FRAMES_SENT_S,
-    LINK_STOPPED_S,
-    THREADS_STOPPED_S,
-    FrameObserver,
-    SourceState,
-)
-from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.profiles.active_profile import ActiveProfile, Stepped
-from tacshade_edge.daemon.publishing.health import Health
-from tacshade_edge.daemon.publishing.home_assistant import HomeAssistant
-from tacshade_edge.daemon.publishing.preview import Preview
-from tacshade_edge.daemon.publishing.publisher import Publisher
-from tacshade_edge.daemon.recording.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
-from tacshade_edge.daemon.recording.record_requests import RecordRequests
-from tacshade_edge.daemon.reference.references import References
-from tacshade_edge.daemon.reload import reload
-from tacshade_edge.daemon.requests import Requests
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.observer import FRAMES_SENT_S, LINK_STOPPED_S, THREADS_STOPPED_S, FrameObserver, SourceState
+from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
+from tacshade_edge.daemon.profiles import ActiveProfile, Stepped
+from tacshade_edge.daemon.publishing import Health, HomeAssistant, Preview, Publisher
+from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
+from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.references import References
+from tacshade_edge.daemon.requests import Reply, Requests
 from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
+from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import links, sources
+from tacshade_edge.factories import calibrations, checks, links, ports, sources
 from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import json_payload, messages, requests
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
-from tacshade_edge.settings import Document, digest
+from tacshade_edge.rigid import from_seven
+from tacshade_edge.settings import Document, Settings, digest, load
 from tacshade_edge.storage.calibration import reference_file
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import Calibration, Frame
 from tacshade_edge.version import installed_version
+
+if TYPE_CHECKING:
+    from tacshade_edge.daemon.hand import FingerLine, FingerReporter
+    from tacshade_edge.daemon.robot import Robot
+    from tacshade_edge.daemon.session_worker import SessionRequests
+    from tacshade_edge.daemon.shared_line import SharedLine
+
 
 _log = logging.getLogger(__name__)
 
@@ -77,22 +77,76 @@ class Reload:
 Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded | Stepped
 
 
+@dataclass(frozen=True, slots=True)
+class Siblings:
+    """A sensor's lines to the other processes of its daemon: to its hand, and for a robot's line that they share."""
+
+    hand: FingerLine | None = None
+    robot: SharedLine | None = None
+
+
+ALONE: Final = Siblings()
+
+
+@dataclass(frozen=True, slots=True)
+class OptionalParts:
+    """What `App` adds to its own parts: those that see a frame before it is published, and after.
+
+    `posed` adds the pose that is known at once to a frame, `interpolated` waits a moment for it; `verbs` carry out and
+    answer the requests with these verbs.
+    """
+
+    before_publishing: tuple[FrameObserver, ...]
+    after_publishing: tuple[FrameObserver, ...]
+    posed: Callable[[Frame], Frame] | None
+    interpolated: Callable[[Frame], Frame] | None
+    verbs: Mapping[str, Callable[[Request], None]]
+
+
+def make_optional_parts(
+    settings: Settings,
+    siblings: Siblings,
+    link: MqttLink,
+    reply: Reply,
+    ask: Callable[[Request], None],
+    status: Callable[[], dict[str, Any]],
+    missing: Callable[[], Reason | None],
+) -> OptionalParts:
+    """Make the parts; for `reply`, `ask`, `status` and `missing` see `Robot` and `SessionRequests`."""
+    robot: Robot | None = None
+    sessions: SessionRequests | None = None
+    finger: FingerReporter | None = None
+    follows = siblings.robot is not None and siblings.robot.hears is not None
+    port = None if follows else ports.make_serial_port(settings.serial)
+    if port or follows:
+        from tacshade_edge.daemon.robot import Robot  # imports pyserial
+
+        publish = partial(link.set_retained, "status/serial")
+        robot = Robot(port, ask, status, publish, missing, siblings.robot)
+    if sources.frames_have_poses(settings):
+        from tacshade_edge.daemon.session_worker import SessionRequests
+
+        folder = Path(settings.stitching.folder)
+        sessions = SessionRequests(folder, settings.sensor_id, link.set_retained, reply, robot)
+    if siblings.hand and settings.hand_T_sensor:
+        from tacshade_edge.daemon.hand import FingerReporter
+
+        finger = FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor))
+    return OptionalParts(
+        # Before, since a subscriber that sees a contact may begin a session.
+        before_publishing=(sessions,) if sessions else (),
+        after_publishing=tuple(part for part in (finger, robot) if part),
+        posed=robot.with_pose if robot else None,
+        interpolated=robot.with_interpolated_pose if robot else None,
+        verbs={"stitch": sessions.handle} if sessions else {},
+    )
+
+
 class App:
     """One sensor's daemon.
 
-    Parameters
-    ----------
-    document : Document
-    source : FrameSource
-    calibration : Calibration or Reason
-        Or the reason that there is none yet: until `reload` finds one, only the camera's picture is published.
-    siblings : Siblings
-        Lines to the other processes of the same daemon.
-
-    Attributes
-    ----------
-    ledger : FrameLedger
-    link : MqttLink
+    `calibration` may be the reason that there is none yet: until `reload` finds one, only the camera's picture is
+    published.
     """
 
     def __init__(
@@ -159,12 +213,8 @@ class App:
     def run(self) -> None:
         """Work until `stop` or the end of a finite source.
 
-        Raises
-        ------
-        ConfigError
-            The source can never work.
-        BaseException
-            The exception that ended a thread; the broker then publishes the last will.
+        Raises ConfigError if the source can never work, and the exception that ended a thread; the broker then
+        publishes the last will.
         """
         # OpenCV's other threads spin between a frame's small images: they take a third of its CPU time and save none.
         cv2.setNumThreads(1)
@@ -389,3 +439,40 @@ class App:
         self._active.log_late()
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", json_payload.encode_json(self._latest_health), qos=0)
+
+
+# The source, the link and its topics, and the robot's line are made once.
+RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """The settings file's present content, as far as a running daemon can apply it.
+
+    `document` has the running settings for every key in `RESTART_KEYS`; `waiting` are those that changed.
+    """
+
+    document: Document
+    calibration: Calibration | Reason
+    waiting: tuple[str, ...]
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why not all of it is in use; None if all is."""
+        if not self.waiting:
+            return None
+        return Reason(ReasonCode.RESTART, f"restart the daemon to use the new {' and '.join(self.waiting)}")
+
+
+def reload(running: Document, *, calibrated: bool) -> Reloaded:
+    """Read the settings and the calibration again; there must be one if there was (`calibrated`).
+
+    Raises ConfigError if the settings are bad, or the calibration does not fit the running source.
+    """
+    new = load(running.path, running.settings.sensor_id if running.several else None)
+    checks.check_files(new)
+    kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
+    waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
+    document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
+    find = calibrations.load_calibration if calibrated else calibrations.find_calibration
+    return Reloaded(document, find(document), waiting)

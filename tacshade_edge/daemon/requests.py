@@ -9,10 +9,9 @@ from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
-from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
-from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
-from tacshade_edge.daemon.reference.references import References
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult
+from tacshade_edge.daemon.profiles import ActiveProfile
+from tacshade_edge.daemon.references import REFERENCE_FRAMES, ReferenceCollector, References
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import ProfileChosen, RequestResult
@@ -31,21 +30,8 @@ Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
 class Requests(FrameObserver):
     """Handles requests; each gets exactly one reply.
 
-    Parameters
-    ----------
-    active : ActiveProfile
-        Changed by `profile` and `reference`.
-    references : References
-        Changed by `reference`.
-    reply : Reply
-    status : callable
-        Returns the answer to ``status``.
-    changed : callable
-        Called after the reconstructor was replaced.
-    record : callable
-        Carries out and answers the verb ``record``, with the present reconstructor.
-    others : mapping of str to callable
-        Carry out and answer verbs that only some daemons have.
+    `changed` is called after the reconstructor was replaced; `record` carries out and answers the verb ``record``,
+    `others` the verbs that only some daemons have.
     """
 
     def __init__(

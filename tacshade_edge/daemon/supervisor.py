@@ -48,21 +48,9 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 class _Part:
     """A sensor or the hand, and its process.
 
-    Attributes
-    ----------
-    of : Document or Hand
-    pid : int
-        0 while there is no process.
-    ready : bool
-        Whether it has come up, or ended, since the supervisor started.
-    heard_s : float or None
-        When it last reported that it works; None if it is not watched.
-    again_s : float or None
-        When to start it again; None for not at all.
-    began_s : float
-        When it was last started.
-    wait_s : float
-        Wait before its latest start, if that followed an end; else 0.
+    It is `ready` once it has come up, or ended, since the supervisor started. `heard_s` is when it last reported that
+    it works, None if it is not watched; `again_s` when to start it again, None for not at all; `wait_s` the wait before
+    its latest start, if that followed an end.
     """
 
     of: Document | Hand
@@ -83,15 +71,9 @@ class _Part:
 
 
 class Supervisor:
-    """Keeps a process running for each sensor, and for the hand that they form.
+    """Keeps a process running for each sensor of one settings file, and for the hand that they form.
 
-    Parameters
-    ----------
-    documents : sequence of Document
-        The sensors of one settings file.
-    hand : Hand or None
-    ended : callable
-        Receives the id of a sensor whose process has ended.
+    `ended` receives the id of a sensor whose process has ended.
     """
 
     def __init__(

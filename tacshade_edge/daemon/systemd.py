@@ -10,8 +10,8 @@ import os
 import socket
 import time
 
-from tacshade_edge.daemon.pipeline.observer import SourceState
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
+from tacshade_edge.daemon.observer import SourceState
+from tacshade_edge.daemon.pipeline import Grab, Reconstruct
 from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason
 
@@ -34,10 +34,7 @@ class Progress:
     def made(self, degraded: bool) -> bool:
         """Whether stages of frames have ended, or, if `degraded`, attempts to get frames were made and none hangs.
 
-        Parameters
-        ----------
-        degraded : bool
-            Whether the daemon has published that no usable frames come.
+        `degraded`: the daemon has published that no usable frames come.
         """
         # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
         processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
@@ -61,12 +58,7 @@ class Service:
     def tick(self, source: SourceState, fps: float) -> None:
         """Report the status; feed the watchdog if there was progress. Call it at least twice per ``WatchdogSec``.
 
-        Parameters
-        ----------
-        source : SourceState
-            As published.
-        fps : float
-            Frames delivered per second.
+        `source` as published; `fps` counts the frames delivered per second.
         """
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""

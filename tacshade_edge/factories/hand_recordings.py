@@ -13,7 +13,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
-from tacshade_edge.hand.replay import messages
+from tacshade_edge.hand import messages
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.hand import Finger, HandObjects, finger_of
 from tacshade_edge.rigid import Rigid, from_seven

@@ -22,7 +22,7 @@ from support.running_app import (
 )
 
 from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.daemon.profiles import profile_chooser
+from tacshade_edge.daemon import profiles as profile_chooser
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber

@@ -20,7 +20,7 @@ from support.running_app import (
     states,
 )
 
-from tacshade_edge.daemon.reference import untouched
+from tacshade_edge.daemon import references as untouched
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.reload import reload
+from tacshade_edge.daemon.app import App, reload
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.protocol import wire

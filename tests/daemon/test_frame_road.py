@@ -18,11 +18,10 @@ from support.running_app import document
 
 from tacshade_edge.core.contact.tracking import follow
 from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
-from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.hand.lines import Lines
-from tacshade_edge.daemon.optional_parts import Siblings
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.app import App, Siblings
+from tacshade_edge.daemon.hand import Lines
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.pipeline import Reconstruct
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.types import IDENTITY_POSE, Calibration, Frame, Reconstruction
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tacshade_edge.daemon.reload import reload
+from tacshade_edge.daemon.app import reload
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import load
 from tacshade_edge.storage import checked_npz

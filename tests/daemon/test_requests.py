@@ -8,10 +8,9 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon import requests
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
-from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES
-from tacshade_edge.daemon.reference.references import References
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.profiles import ActiveProfile
+from tacshade_edge.daemon.references import REFERENCE_FRAMES, References
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.requests import Request, encode_reply

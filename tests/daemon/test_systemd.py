@@ -14,10 +14,9 @@ import pytest
 
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult
+from tacshade_edge.daemon.pipeline import Grab, Mailbox, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load

@@ -19,8 +19,7 @@ import tacshade_client
 from paho.mqtt.client import topic_matches_sub
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.daemon.session import MapPublisher, MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction

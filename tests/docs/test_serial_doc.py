@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.daemon.robot.robot import Robot
-from tacshade_edge.daemon.robot.touch_events import TouchEvents
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.serial_line import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.serial.commands import USAGE
 from tacshade_edge.protocol.serial.framing import LinkCounts

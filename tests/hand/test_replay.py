@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tacshade_edge.hand.aggregator import GATHER_NS, STALLED_NS
-from tacshade_edge.hand.replay import messages
+from tacshade_edge.hand import GATHER_NS, STALLED_NS, messages
 from tacshade_edge.protocol.hand import Finger
 
 PERIOD_NS = 33_333_333

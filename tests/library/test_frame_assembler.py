@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 import tacshade_edge as ts
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.protocol import messages
 from tacshade_edge.types import Frame, Pose, Reconstruction

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import SurfaceMap
-from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.daemon.session import MapPublisher, MapRevision
 from tacshade_edge.simulator.pad import touchpad
 
 PAD = touchpad()

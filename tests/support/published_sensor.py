@@ -10,8 +10,8 @@ import numpy as np
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.publishing import Health
 from tacshade_edge.protocol import json_payload, messages, wire
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject

@@ -23,8 +23,8 @@ from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import step_and_track
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.calibration import calibration_file

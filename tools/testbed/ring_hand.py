@@ -5,10 +5,9 @@ import sys
 from pathlib import Path
 
 from tacshade_edge.cli.entry import leave
-from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.hand import process
-from tacshade_edge.daemon.hand.lines import Lines
-from tacshade_edge.daemon.optional_parts import Siblings
+from tacshade_edge.daemon import hand as process
+from tacshade_edge.daemon.app import App, Siblings
+from tacshade_edge.daemon.hand import Lines
 from tacshade_edge.daemon.supervisor import Supervisor
 from tacshade_edge.factories import calibrations
 from tacshade_edge.settings import Hand, load_all, load_hand

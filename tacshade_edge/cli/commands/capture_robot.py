@@ -21,7 +21,7 @@ def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
     if serial is None or (port := ports.make_serial_port(serial)) is None:
         yield None
         return
-    from tacshade_edge.daemon.robot.robot import Robot
+    from tacshade_edge.daemon.robot import Robot
 
     statuses: list[bytes] = []
     state = {"source": "streaming", "health": {}}

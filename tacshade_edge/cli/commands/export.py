@@ -11,7 +11,7 @@ from typing import Final
 from tacshade_edge.cli.shared.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.touch.answer import PLAIN
-from tacshade_edge.daemon.recording.replay import Progress, replay
+from tacshade_edge.daemon.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor

@@ -15,9 +15,7 @@ from tacshade_edge.cli.shared.addresses import address
 from tacshade_edge.cli.shared.profile_option import add_profile
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.recording.playback import Playback
-from tacshade_edge.daemon.recording.replay import Deliver, Progress, replay
-from tacshade_edge.daemon.recording.replay_link import ReplayLink
+from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.inference.network import make_reconstructor

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
-from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.optional_parts import ALONE, Siblings
+from tacshade_edge.daemon.app import ALONE, App, Siblings
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.factories import calibrations, checks, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.robot.shared_line import SharedLine
+    from tacshade_edge.daemon.shared_line import SharedLine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
     documents = load_all(args.config)
     document, siblings = documents[0], ALONE
     if document.several:
-        from tacshade_edge.daemon.hand import process  # only a hand or several sensors need it
-        from tacshade_edge.daemon.hand.lines import Lines
+        from tacshade_edge.daemon import hand as process  # only a hand or several sensors need it
+        from tacshade_edge.daemon.hand import Lines
 
         hand = load_hand(args.config)
         lines = Lines(hand.fingers if hand else ())
@@ -78,6 +77,6 @@ def _shared_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
     """Return the serial lines that sensors share, by sensor; import them only if the settings name a robot."""
     if not any(document.settings.serial for document in documents):
         return {}
-    from tacshade_edge.daemon.robot.shared_line import share_lines
+    from tacshade_edge.daemon.shared_line import share_lines
 
     return share_lines(documents)

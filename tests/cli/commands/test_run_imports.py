@@ -23,10 +23,10 @@ print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
 OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
 # Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
 COMMANDS, ON_DEMAND, POSES = (
-    "simulator studies dashboard doctor daemon.recording.replay",
+    "simulator studies dashboard doctor daemon.replay",
     "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
-    "core.stitching.stitcher core.stitching.press_points daemon.stitching.session daemon.stitching.session_worker "
-    "daemon.stitching.session_requests daemon.stitching.map_publisher storage.stitching.stitch_file",
+    "core.stitching.stitcher core.stitching.press_points daemon.session daemon.session_worker "
+    "storage.stitching.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
 STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}

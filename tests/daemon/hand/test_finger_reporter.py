@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.hand.finger_reporter import PERIOD_NS, FingerReporter
-from tacshade_edge.daemon.hand.lines import Lines
-from tacshade_edge.daemon.pipeline.observer import FrameResult, SourceState
+from tacshade_edge.daemon.hand import PERIOD_NS, FingerReporter, Lines
+from tacshade_edge.daemon.observer import FrameResult, SourceState
 from tacshade_edge.protocol.hand import Finger
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tacshade_edge.daemon.hand.lines import Lines
+from tacshade_edge.daemon.hand import Lines
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.hand import Finger
 

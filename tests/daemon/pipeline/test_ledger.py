@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.daemon.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
 
 OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
 

@@ -5,7 +5,7 @@ import threading
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline import Mailbox
 from tools.testbed.patience import patience
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
-from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import Calibration, Need

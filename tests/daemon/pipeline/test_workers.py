@@ -9,10 +9,9 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
-from tacshade_edge.daemon.pipeline.workers import LOOK_EVERY, Grab, Reconstruct
+from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.daemon.pipeline import LOOK_EVERY, Grab, Mailbox, Reconstruct
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode

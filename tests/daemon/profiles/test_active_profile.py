@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
-from tacshade_edge.daemon.profiles.active_profile import CALM_S, ActiveProfile, Stepped, step_cost_ms
-from tacshade_edge.daemon.profiles.profile_chooser import PATIENCE_S, WINDOW_FRAMES
+from tacshade_edge.daemon.profiles import CALM_S, PATIENCE_S, WINDOW_FRAMES, ActiveProfile, Stepped, step_cost_ms
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import Calibration, Frame

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.profiles.profile_chooser import (
+from tacshade_edge.daemon.profiles import (
     LATE_FRAMES,
     LONGEST_PATIENCE_S,
     MARGIN,

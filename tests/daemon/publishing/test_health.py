@@ -8,14 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
-from tacshade_edge.daemon.publishing.health import Health
-from tacshade_edge.daemon.recording.record_requests import RecordRequests
-from tacshade_edge.daemon.reference.references import References
-from tacshade_edge.daemon.robot.robot import Robot
-from tacshade_edge.daemon.stitching.session_requests import SessionRequests
+from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.profiles import ActiveProfile
+from tacshade_edge.daemon.publishing import Health
+from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.references import References
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.session_worker import SessionRequests
 from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction

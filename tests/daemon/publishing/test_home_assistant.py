@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.daemon.publishing.home_assistant import STATUS, HomeAssistant
+from tacshade_edge.daemon.publishing import STATUS, HomeAssistant
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol.home_assistant import discovery_topics
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber

@@ -5,8 +5,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.publishing.preview import WIDTH_PX, Preview
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.publishing import WIDTH_PX, Preview
 from tacshade_edge.types import Frame
 
 

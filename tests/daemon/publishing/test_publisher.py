@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.daemon.ledger import FrameOutcome
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Slip

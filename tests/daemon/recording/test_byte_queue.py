@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.recording.byte_queue import ByteQueue
+from tacshade_edge.daemon.record import ByteQueue
 
 
 @given(st.lists(st.tuples(st.integers(1, 15), st.booleans()), max_size=40))

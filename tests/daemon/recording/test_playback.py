@@ -7,7 +7,7 @@ from queue import SimpleQueue
 import pytest
 from support.recordings import write_recording
 
-from tacshade_edge.daemon.recording.playback import Playback
+from tacshade_edge.daemon.replay import Playback
 from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.recording.recording import Recording
 from tools.testbed.painted_sensor import FREE

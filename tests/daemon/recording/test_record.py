@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.recording import record
-from tacshade_edge.daemon.recording.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
+from tacshade_edge.daemon import record
+from tacshade_edge.daemon.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.recording.recorder import png_of

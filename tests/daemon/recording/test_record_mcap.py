@@ -15,8 +15,8 @@ from tools.testbed.patience import patience, wait_until
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 
-from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
-from tacshade_edge.daemon.recording.record_requests import RecordRequests
+from tacshade_edge.daemon.record import STOPPED, LiveRecorder, Recorded
+from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.types import Calibration, Frame

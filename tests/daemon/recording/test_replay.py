@@ -7,7 +7,7 @@ import pytest
 from support.recordings import write_recording
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.recording.replay import Progress, replay
+from tacshade_edge.daemon.replay import Progress, replay
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import Reconstruction

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
+from tacshade_edge.daemon.references import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.daemon.reference.origin import requested, restored
+from tacshade_edge.daemon.references import requested, restored
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.calibration.calibration_file import with_crc

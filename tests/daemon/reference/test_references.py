@@ -9,8 +9,7 @@ import pytest
 
 from tacshade_edge.core.calibration.reference.following import bounds
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.reference.references import References
-from tacshade_edge.daemon.reference.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES
+from tacshade_edge.daemon.references import PERIOD_S, REST_S, UNTOUCHED_FRAMES, References
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults, nuisance

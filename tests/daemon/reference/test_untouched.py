@@ -7,7 +7,7 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.reference.untouched import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES, UntouchedFrames
+from tacshade_edge.daemon.references import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES, UntouchedFrames
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Calibration, Frame, Need

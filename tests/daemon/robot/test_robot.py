@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.robot.robot import Robot
-from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.serial_line import WAITING_MAX
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
@@ -236,7 +236,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
 
 
 def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tacshade_edge.daemon.robot.robot.SILENT_NS", 10_000_000)
+    monkeypatch.setattr("tacshade_edge.daemon.robot.SILENT_NS", 10_000_000)
     side = Side(link)
     with side:
         assert side.until("away", state="away")["reason"] in ("starting", f"serial {link}: no such device")
@@ -257,7 +257,7 @@ def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, mon
         for _ in range(WAITING_MAX + 1):
             robot.ask("CAPTURE")
         wait_until(lambda: any("BUSY 16 captures are already waiting" in r for r in robot.replies.values()), 10, "BUSY")
-        monkeypatch.setattr("tacshade_edge.daemon.robot.serial_commands.CAPTURE_TIMEOUT_NS", 0)
+        monkeypatch.setattr("tacshade_edge.daemon.serial_line.CAPTURE_TIMEOUT_NS", 0)
         wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
         assert not side.robot.commands.capture_pending
 

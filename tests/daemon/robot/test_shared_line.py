@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.daemon.robot.robot import Robot
-from tacshade_edge.daemon.robot.shared_line import SharedLine, share_lines
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.shared_line import SharedLine, share_lines
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.settings import Document, Serial, Settings
 from tools.testbed.patience import stretched, wait_until

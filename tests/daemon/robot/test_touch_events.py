@@ -13,9 +13,9 @@ from itertools import count
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.robot.robot import Robot
-from tacshade_edge.daemon.robot.touch_events import TouchEvents
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.serial_line import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.results import TouchSwitched

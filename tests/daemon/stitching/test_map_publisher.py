@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.daemon.stitching import map_publisher
-from tacshade_edge.daemon.stitching.map_publisher import MapPublisher, thinned_points
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.daemon import session as map_publisher
+from tacshade_edge.daemon.session import MapPublisher, MapRevision, thinned_points
 from tacshade_edge.protocol.wire import CloudMessage, decode
 
 

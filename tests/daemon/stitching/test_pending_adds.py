@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from tacshade_edge.daemon.stitching.pending_adds import ADD_TIMEOUT_NS, WAITING_MAX, PendingAdds
+from tacshade_edge.daemon.session_worker import ADD_TIMEOUT_NS, WAITING_MAX, PendingAdds
 from tacshade_edge.protocol.results import SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
 

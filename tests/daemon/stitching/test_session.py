@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.stitching.session import RefusedError, Session
+from tacshade_edge.daemon.session import RefusedError, Session
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.stitching.stitch_file import StitchFile

@@ -20,7 +20,7 @@ import numpy as np
 from tools.testbed.painted_sensor import painted_calibration
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.surface_map import EXTENT_MAX_TILES, TILES_MAX
-from tacshade_edge.daemon.stitching.session import Session
+from tacshade_edge.daemon.session import Session
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.rigid import Rigid
 

@@ -13,8 +13,8 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
-from tacshade_edge.daemon.pipeline.observer import FrameResult
-from tacshade_edge.daemon.stitching.session_requests import SessionRequests
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.session_worker import SessionRequests
 from tacshade_edge.protocol.requests import Request, encode_reply
 from tacshade_edge.storage.stitching.stitch_file import open_session
 from tacshade_edge.types import Frame, Need, Pose, Reconstruction

@@ -16,9 +16,9 @@ from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
 from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.daemon.stitching import session_worker
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
-from tacshade_edge.daemon.stitching.session_worker import SessionWorker
+from tacshade_edge.daemon import session_worker
+from tacshade_edge.daemon.session import MapRevision
+from tacshade_edge.daemon.session_worker import SessionWorker
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -234,7 +234,7 @@ def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytes
     answers = robot.begin("ADD")
     robot.worker.poll()
     assert answers.empty()
-    monkeypatch.setattr("tacshade_edge.daemon.stitching.pending_adds.ADD_TIMEOUT_NS", -1)
+    monkeypatch.setattr("tacshade_edge.daemon.session_worker.ADD_TIMEOUT_NS", -1)
     robot.worker.poll()
     assert code(wait(answers)) == ReasonCode.TIMEOUT
 
@@ -375,7 +375,7 @@ def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -
 def test_a_deferred_map_is_published_though_nothing_more_comes(
     tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.daemon.stitching.session_worker.DEFERRED_S", 0.01)
+    monkeypatch.setattr("tacshade_edge.daemon.session_worker.DEFERRED_S", 0.01)
     published: list[int] = []
 
     def publish(revision: MapRevision) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.reconstruct import step_and_track
-from tacshade_edge.hand.held_object import patches_of
+from tacshade_edge.hand import patches_of
 from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.simulator.hand.bodies import box, cylinder, sphere

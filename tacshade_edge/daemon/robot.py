@@ -8,12 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from tacshade_edge.daemon.pipeline.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult
-from tacshade_edge.daemon.robot.motion import RobotMotion
-from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
-from tacshade_edge.daemon.robot.serial_commands import SerialCommands
-from tacshade_edge.daemon.robot.shared_line import FollowingChannel, ForwardingMotion, SharedLine
-from tacshade_edge.daemon.robot.touch_events import TouchEvents
+from tacshade_edge.daemon.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult
+from tacshade_edge.daemon.serial_line import SILENT_NS, RobotMotion, SerialChannel, SerialCommands, TouchEvents
+from tacshade_edge.daemon.shared_line import FollowingChannel, ForwardingMotion, SharedLine
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
@@ -27,27 +24,10 @@ LATENCY_MAX_MS = 1
 
 
 class Robot(FrameObserver):
-    """The robot's line, clock and poses.
+    """The robot's line, clock and poses; without a port, another sensor has it and shares it.
 
-    Parameters
-    ----------
-    port : SerialPort or None
-        None if another sensor has the port.
-    on_request : callable
-        Passes the robot's requests to the main thread.
-    state : callable
-        Returns the daemon's state, as for ``req/status``.
-    publish_status : callable
-        ``publish_status(payload)`` publishes ``status/serial``.
-    missing : callable
-        Returns why there is no calibration; None if there is one.
-    shared : SharedLine or None
-        Present if other sensors have the same line; needed without a port.
-
-    Attributes
-    ----------
-    motion : RobotMotion
-    commands : SerialCommands
+    `on_request` passes the robot's requests to the main thread, `state` answers ``STATUS``, `publish_status` publishes
+    ``status/serial``, `missing` is why there is no calibration.
     """
 
     health_key = "serial"

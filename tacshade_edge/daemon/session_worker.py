@@ -13,23 +13,82 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints, press_points
 from tacshade_edge.core.stitching.rest import RestDetector
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
-from tacshade_edge.daemon.stitching.pending_adds import WAITING_MAX, PendingAdds, Reply
-from tacshade_edge.daemon.stitching.session import RefusedError, Session
+from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
+from tacshade_edge.daemon.requests import Reply
+from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.free_memory import return_free_memory
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.folder_lock import FolderLock
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+
+if TYPE_CHECKING:
+    from tacshade_edge.daemon.robot import Robot  # imports pyserial
+
+
+ADD_TIMEOUT_NS = 5_000_000_000
+WAITING_MAX = 16
+
+SessionReply = Callable[[SessionResult | Reason], None]
+"""``reply(outcome)``, called once: a command's result, or the reason that there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PendingAdd:
+    since_ns: int
+    reply: SessionReply
+
+
+class PendingAdds:
+    """Commands to add a press that wait for the first frame taken after them; bounded, for any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._pending: list[_PendingAdd] = []
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def put(self, since_ns: int, reply: SessionReply) -> None:
+        """Wait for a frame taken at `since_ns` or later; refuse at once if too many wait."""
+        with self._lock:
+            busy = len(self._pending) >= WAITING_MAX
+            if not busy:
+                self._pending.append(_PendingAdd(since_ns, reply))
+        if busy:
+            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting for a frame"))
+
+    def take(self, t_ns: int) -> list[SessionReply]:
+        """Remove and return the replies that wait for a frame of `t_ns`."""
+        return self._remove(lambda pending: pending.since_ns <= t_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """Refuse the commands that have waited too long."""
+        for reply in self._remove(lambda pending: now_ns - pending.since_ns > ADD_TIMEOUT_NS):
+            reply(Reason(ReasonCode.TIMEOUT, f"no frame within {ADD_TIMEOUT_NS / 1e9:.0f} s"))
+
+    def refuse_all(self, reason: Reason) -> None:
+        """Refuse all commands that wait."""
+        for reply in self._remove(lambda _: True):
+            reply(reason)
+
+    def _remove(self, due: Callable[[_PendingAdd], bool]) -> list[SessionReply]:
+        with self._lock:
+            removed = [pending for pending in self._pending if due(pending)]
+            self._pending = [pending for pending in self._pending if pending not in removed]
+        return [pending.reply for pending in removed]
+
 
 _log = logging.getLogger(__name__)
 
@@ -41,19 +100,9 @@ _NO_IMAGE = np.zeros((0, 0), np.uint8)
 class SessionState:
     """The state of the sessions at one instant.
 
-    Attributes
-    ----------
-    name : str
-        Name of the open session; empty if there is none.
-    ending : bool
-        Whether its map is being made, which takes seconds.
-    presses, points, revision : int
-    missed : int
-        Contacts at rest that could not be added to the latest session, since the daemon started.
-    missed_reason : Reason or None
-        Why the latest such contact could not be added; None once another was added.
-    folder : str
-        Folder of the latest finished map; empty before.
+    While `ending`, the map is being made, which takes seconds. `missed` contacts at rest could not be added to the
+    latest session since the daemon started, the latest for `missed_reason`. `folder` is that of the latest finished
+    map.
     """
 
     name: str = ""
@@ -70,7 +119,7 @@ class SessionState:
 class _Command:
     action: str
     name: str
-    reply: Reply
+    reply: SessionReply
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,26 +127,17 @@ class _Add:
     points: PressPoints
     frame: Frame  # without its image
     flange_T_sensor: Rigid
-    reply: Reply
+    reply: SessionReply
 
 
 class SessionWorker:
-    """One sensor's sessions, one at a time.
+    """One sensor's sessions, one at a time, each in its own folder below `folder`.
 
-    Parameters
-    ----------
-    folder : Path
-        Contains each session's own folder. A session that was open when the daemon died is resumed. While another
-        process owns this folder, there are no sessions here.
-    sensor_id : str
-        Sensor that the sessions belong to.
-    publish_map : callable
-        ``publish_map(revision)`` after each press and at the end, in this object's thread; True if it was deferred: the
-        map is then published a moment later, as it is by then.
-    with_pose : callable
-        Adds the pose to a frame; called in this object's thread, and may wait a moment.
-    automatic : bool
-        Whether to add every contact that comes to rest while a session is open.
+    A session that was open when the daemon died is resumed. While another process owns the folder, there are no
+    sessions. `publish_map` is called after each press and at the end, and returns True if it was deferred: the map is
+    then published a moment later, as it is by then. `with_pose` adds the pose to a frame and may wait a moment. Both
+    are called in this object's thread. If `automatic`, every contact that comes to rest while a session is open is
+    added.
     """
 
     def __init__(
@@ -146,7 +186,7 @@ class SessionWorker:
 
     # Other threads call these; none of them waits.
 
-    def submit(self, action: str, name: str, reply: Reply) -> None:
+    def submit(self, action: str, name: str, reply: SessionReply) -> None:
         """Carry out ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the reply comes later, from any thread."""
         if action == "ADD":
             reply = self._counting_refusals(reply)
@@ -191,7 +231,7 @@ class SessionWorker:
         """Make `run` return after the waiting jobs; an open session stays open on the disk."""
         self._jobs.put("stop")
 
-    def _counting_refusals(self, reply: Reply) -> Reply:
+    def _counting_refusals(self, reply: SessionReply) -> SessionReply:
         def counting(outcome: SessionResult | Reason) -> None:
             if isinstance(outcome, Reason):
                 with self._lock:
@@ -355,3 +395,75 @@ def _refusal(result: Reconstruction) -> Reason | None:
     if not result.contact:
         return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing is touching the sensor")
     return None
+
+
+_REPORTED = ("name", "presses", "points", "revision", "missed", "folder")
+
+
+class SessionRequests(FrameObserver):
+    """``req/stitch`` and ``status/stitching``; present only if frames have poses: of the robot, or of their source.
+
+    Only the main thread uses it, except for `see`; `publish` (retained) and `reply` are called from any thread.
+    """
+
+    health_key = "stitching"
+    stop_s = STITCHED_S
+
+    def __init__(
+        self, folder: Path, sensor_id: str, publish: Callable[[str, bytes], None], reply: Reply, robot: Robot | None
+    ) -> None:
+        publish_map = MapPublisher(publish).publish
+        if robot:
+            self._worker = SessionWorker(folder, sensor_id, publish_map, robot.with_interpolated_pose)
+            robot.commands.sessions = self._worker
+        else:
+            self._worker = SessionWorker(folder, sensor_id, publish_map)
+        self._publish = publish
+        self._reply = reply
+        self._robot = robot
+        self._published = b""
+        # A daemon thread: the end of a session, or a disk that hangs, must not keep the process.
+        self._thread = threading.Thread(target=self._worker.run, name="stitch", daemon=True)
+
+    def start(self) -> None:
+        """Resume a session that was open, and serve commands."""
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> None:
+        """Add what waits; an open session, or one whose end takes longer, stays open on the disk."""
+        self._worker.stop()
+        self._thread.join(timeout_s)
+        self.poll()
+
+    def need(self) -> Need:
+        """Depth, while a session is open."""
+        return Need.DEPTH if self._worker.open else Need.CONTACT
+
+    def see(self, seen: FrameResult) -> None:
+        """Check whether a frame is a press."""
+        if seen.reconstruction is not None and seen.calibration is not None:
+            self._worker.observe(seen.frame, seen.reconstruction, seen.calibration)
+
+    def handle(self, request: Request) -> None:
+        """Start what ``req/stitch`` requests; its one reply comes when that is done."""
+        self._worker.submit(request.action.upper(), request.name, lambda outcome: self._reply(request, outcome))
+
+    def poll(self) -> None:
+        """Refuse commands that have waited too long; publish ``status/stitching`` when it has changed."""
+        self._worker.poll()
+        session = self._worker.state
+        state: str = "idle"
+        reason: Reason | None = None
+        if session.name:
+            state, reason = "ending" if session.ending else "open", session.missed_reason
+            if self._robot and not self._robot.knows_pose():
+                reason = Reason(ReasonCode.NO_POSE, "the robot's pose is unknown, so no press can be added")
+        details = {name: getattr(session, name) for name in _REPORTED}
+        status = encode_status(state, reason, details)
+        if status != self._published:
+            self._published = status
+            self._publish("status/stitching", status)
+
+    def health(self) -> dict[str, int]:
+        """The worker's counts."""
+        return self._worker.as_dict()

@@ -1,26 +1,109 @@
-"""A stitching session: its presses, on disk and in the map."""
+"""A stitching session: its presses, on disk and in the map, and the messages about it."""
 
 from __future__ import annotations
 
 import contextlib
 import re
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
+from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
 from tacshade_edge.storage.stitching.stitch_file import SessionInfo, StitchFile, open_session
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import F32, Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class MapRevision:
+    """The map after a press, or the final one, whose files are in `folder`, for subscribers.
+
+    `revision` counts the presses and the end; `used` presses are in the map. `raster` makes the map in the session's
+    thread; its cost grows with the map, so call it no more often than needed.
+    """
+
+    name: str
+    revision: int
+    presses: int
+    used: int
+    calibration_crc32: int
+    folder: str
+    raster: Callable[[], Raster]
+
+
+PERIOD_S = 1.0
+POINTS_MAX = 20_000
+"""Most points of a ``map/cloud``, 280 kB; a larger map is thinned."""
+
+
+class MapPublisher:
+    """Publishes ``map/revision`` and ``map/cloud`` at most once a second as a map grows, then ``map/final``.
+
+    The larger the map, the more its raster costs. `publish` must not wait.
+    """
+
+    def __init__(self, publish: Callable[[str, bytes], None]) -> None:
+        self._publish = publish
+        self._next_s = 0.0
+
+    def publish(self, revision: MapRevision) -> bool:
+        """Publish a revision; return True if it is deferred because one was just published. The final one never is."""
+        now_s = time.monotonic()
+        if not revision.folder and now_s < self._next_s:
+            return True
+        self._next_s = now_s + PERIOD_S
+        raster = revision.raster()
+        points, spacing_mm = thinned_points(raster)
+        known = raster.z_mm[np.isfinite(raster.z_mm)]
+        about = {
+            "name": revision.name,
+            "revision": revision.revision,
+            "presses": revision.presses,
+            "used": revision.used,
+            "x0_mm": raster.x0_mm,
+            "y0_mm": raster.y0_mm,
+            "width_mm": raster.z_mm.shape[1] * raster.step_mm,
+            "length_mm": raster.z_mm.shape[0] * raster.step_mm,
+            "z_min_mm": float(known.min()) if known.size else None,
+            "z_max_mm": float(known.max()) if known.size else None,
+            "area_mm2": known.size * raster.step_mm**2,
+            "points": len(points),
+            "spacing_mm": spacing_mm,
+            "folder": revision.folder,
+        }
+        cloud = encode_map_cloud(
+            points,
+            revision=revision.revision,
+            calibration_crc32=revision.calibration_crc32,
+            t_ns=time.monotonic_ns(),
+            wall_ns=time.time_ns(),
+        )
+        self._publish("map/cloud", cloud)
+        self._publish("map/final" if revision.folder else "map/revision", encode_json(about))
+        return False
+
+
+def thinned_points(raster: Raster) -> tuple[F32, float]:
+    """Points (N, 3) of every k-th row and column, with the least k for `POINTS_MAX`, and their spacing in mm."""
+    stride = 1
+    while np.count_nonzero(np.isfinite(raster.z_mm[::stride, ::stride])) > POINTS_MAX:
+        stride += 1
+    spacing_mm = stride * raster.step_mm
+    thin = Raster(raster.z_mm[::stride, ::stride], raster.x0_mm, raster.y0_mm, spacing_mm)
+    return thin.points().astype(np.float32), spacing_mm
 
 
 class RefusedError(Exception):
@@ -32,19 +115,7 @@ class RefusedError(Exception):
 
 
 class Session:
-    """An open session, for one thread at a time.
-
-    Parameters
-    ----------
-    file : StitchFile
-    stitcher : Stitcher
-        With the presses of the file.
-
-    Attributes
-    ----------
-    revision : int
-        Counts the presses and the end.
-    """
+    """An open session, for one thread at a time; its stitcher has the presses of its file."""
 
     def __init__(self, file: StitchFile, stitcher: Stitcher) -> None:
         self._file = file
@@ -55,12 +126,7 @@ class Session:
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
         """Begin a session in a new folder below `folder`; an empty `name` becomes the time in UTC.
 
-        Raises
-        ------
-        RefusedError
-            BAD_NAME or NAME_TAKEN.
-        DeviceError
-            The folder cannot be written.
+        Raises RefusedError (BAD_NAME, NAME_TAKEN), or DeviceError if the folder cannot be written.
         """
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if not re.match(RECORD_NAME, name):
@@ -74,13 +140,7 @@ class Session:
 
     @classmethod
     def resume(cls, folder: Path, sensor_id: str) -> Session | None:
-        """Resume the sensor's session below `folder` that has not ended; None if there is none.
-
-        Raises
-        ------
-        TacshadeError
-            The session cannot be read or written.
-        """
+        """Resume the sensor's session below `folder` that has not ended; None if none. Raises TacshadeError."""
         with disk_errors(folder):
             path = open_session(folder, sensor_id)
         if path is None:
@@ -129,12 +189,7 @@ class Session:
     def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
         """Add a press; it is on the disk when this returns.
 
-        Raises
-        ------
-        RefusedError
-            MAP_FULL.
-        DeviceError
-            The disk failed; nothing was added.
+        Raises RefusedError (MAP_FULL), or DeviceError if the disk failed and nothing was added.
         """
         # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
         self._file.append(points, base_T_sensor)
@@ -154,10 +209,7 @@ class Session:
     def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
         """Make the final map and write its files, which takes seconds and ends the session.
 
-        Raises
-        ------
-        DeviceError
-            The disk failed; the session is still open.
+        Raises DeviceError if the disk failed; the session is then still open.
         """
         final = self._stitcher.finish()
         raster, crc32 = final.raster, self._file.info.calibration_crc32

@@ -8,19 +8,146 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
-from tacshade_edge.daemon.recording.byte_queue import ByteQueue
-from tacshade_edge.daemon.recording.pre_roll import EVENT_BYTES, PRE_ROLL_BYTES, Event, Kept, Shot
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.types import Calibration, Frame
+
+T = TypeVar("T")
+
+
+class ByteQueue(Generic[T]):
+    """A first-in, first-out queue between two threads, bounded in bytes, except that an empty one takes any item.
+
+    `refused` counts the items that found it full; nobody waits for room.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._ready = threading.Condition()
+        self._items: deque[tuple[T, int]] = deque()
+        self._bytes = 0
+        self._closed = False
+        self.refused = 0
+
+    def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> None:
+        """Add an item for the taker; refuse and count it if full, ignore it if closed.
+
+        `reserve_bytes` above the limit are reserved for this kind of item.
+        """
+        with self._ready:
+            if self._closed:
+                return
+            if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
+                self.refused += 1
+                return
+            self._items.append((item, size_bytes))
+            self._bytes += size_bytes
+            self._ready.notify()
+
+    def take(self, timeout_s: float) -> T | None:
+        """The oldest item; None if none came in time, or if the queue is drained."""
+        with self._ready:
+            self._ready.wait_for(lambda: self._items or self._closed, timeout_s)
+            if not self._items:
+                return None
+            item, size_bytes = self._items.popleft()
+            self._bytes -= size_bytes
+            return item
+
+    def close(self) -> None:
+        """Accept nothing more; what is in the queue can still be taken."""
+        with self._ready:
+            self._closed = True
+            self._ready.notify_all()
+
+    @property
+    def drained(self) -> bool:
+        """Whether the queue is closed and empty."""
+        with self._ready:
+            return self._closed and not self._items
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+
+PRE_ROLL_BYTES: Final = 64 * 2**20
+"""As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Within the service's 150 MB, with 16 MiB that wait."""
+EVENT_BYTES: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A captured frame with its pose but without pixels, and its image as PNG."""
+
+    frame: Frame
+    png: bytes
+
+    @property
+    def t_ns(self) -> int:
+        """Capture time, CLOCK_MONOTONIC, ns."""
+        return self.frame.t_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that a person who looks at the recording must know."""
+
+    t_ns: int
+    kind: str
+    data: Mapping[str, object]
+
+
+class Kept:
+    """The latest frames, encoded, bounded in time and in bytes; for one thread, any may read the counts.
+
+    `given_up` counts the frames that `bound` removed for lack of room.
+    """
+
+    def __init__(self) -> None:
+        self._items: deque[Shot | Event] = deque()
+        self._bytes = 0
+        self.frames = self.given_up = 0
+
+    def add(self, item: Shot | Event) -> None:
+        """Add the newest item."""
+        self._items.append(item)
+        self._bytes += _size(item)
+        self.frames += isinstance(item, Shot)
+
+    def take(self) -> Shot | Event:
+        """Remove and return the oldest item. Raises IndexError if there is none."""
+        item = self._items.popleft()
+        self._bytes -= _size(item)
+        self.frames -= isinstance(item, Shot)
+        return item
+
+    def forget(self, oldest_ns: int) -> None:
+        """Remove items older than this time."""
+        while self._items and self._items[0].t_ns < oldest_ns:
+            self.take()
+
+    def bound(self, limit_bytes: int) -> None:
+        """Remove the oldest items until the rest has at most this many bytes."""
+        while self._bytes > limit_bytes:
+            self.given_up += isinstance(self.take(), Shot)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+
+def _size(item: Shot | Event) -> int:
+    return len(item.png) if isinstance(item, Shot) else EVENT_BYTES
+
 
 # 54 grey frames of 640x480: almost a second at 60 per second. Part of the 150 MB that the service may use.
 QUEUE_BYTES = 16 * 2**20
@@ -42,15 +169,9 @@ class RecordingEnded:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """State of a recording, or its result.
+    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in it.
 
-    Attributes
-    ----------
-    folder : Path
-    frames, bytes, dropped : int
-        Written frames, their size, and frames that were captured meanwhile but are not in it.
-    ending : Reason or None
-        None while the recording runs; one of `GOOD_ENDINGS`, or what went wrong.
+    `ending` is None while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
     """
 
     folder: Path
@@ -207,17 +328,8 @@ class _Job:
 class LiveRecorder:
     """Starts and ends recordings; only the main thread uses it.
 
-    Parameters
-    ----------
-    report : callable
-        Receives a `RecordingEnded` in the recording's thread.
-    posed : callable or None
-        Adds the pose to a frame; called in the recording's thread, and may wait a moment.
-
-    Attributes
-    ----------
-    tap : callable or None
-        Takes the next captured frame, in the grab thread; None while no frame is wanted.
+    `report` and `posed`, which adds the pose to a frame and may wait a moment, are called in the recording's thread.
+    `tap` takes the next captured frame, in the grab thread; it is None while no frame is wanted.
     """
 
     def __init__(self, report: Callable[[RecordingEnded], None], posed: Posed | None = None) -> None:
@@ -247,27 +359,10 @@ class LiveRecorder:
         about: Mapping[str, object],
         make: Callable[..., Recorder] = Recorder,
     ) -> None:
-        """Begin a recording.
+        """Begin a recording in a new folder; `about` goes to ``recording.json``.
 
-        Parameters
-        ----------
-        folder : Path
-            A new folder.
-        seconds : float
-        settings_yaml : str
-        calibration : Calibration
-            The calibration that a replay must use.
-        about : mapping
-            Further content of ``recording.json``.
-        make : callable
-            `Recorder`, or a class like it.
-
-        Raises
-        ------
-        ConfigError
-            The folder exists already.
-        DeviceError
-            Another recording runs (``BUSY``), the folder cannot be made, or the disk is down to the floor.
+        Raises ConfigError if the folder exists; DeviceError if another recording runs (``BUSY``), the folder cannot be
+        made, or the disk is down to the floor.
         """
         if (now := self.now()) is not None:
             doing = "still writing the latest recording to" if now.ending else "already recording to"

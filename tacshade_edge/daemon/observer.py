@@ -30,16 +30,8 @@ class SourceState:
 class FrameResult:
     """A frame and its result.
 
-    Attributes
-    ----------
-    frame : Frame
-        With its pose, if known.
-    calibration : Calibration or None
-        Of the sensor that took the frame; None if there is none yet, and every reconstruction is then invalid.
-    reconstruction : Reconstruction or None
-        None for a contact whose depth nobody needed.
-    step_ms : float
-        Duration of the reconstruction; 0 if it was not measured.
+    `frame` has its pose, if known. `calibration` is None if there is none yet, and every reconstruction is then
+    invalid; `reconstruction` is None for a contact whose depth nobody needed; `step_ms` is 0 if it was not measured.
     """
 
     frame: Frame
@@ -54,12 +46,8 @@ class FrameObserver:
     The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need` and `see`. None of
     these may wait. The main thread calls the others, except `answer`, which any thread may call.
 
-    Attributes
-    ----------
-    health_key : str
-        Key in ``health`` for what `health` returns; empty for no key.
-    stop_s : float
-        When `stop` must have returned, after the beginning of a stop. The part with the earliest time stops first.
+    `health_key` is the key in ``health`` for what `health` returns, if any. `stop` must have returned `stop_s` after
+    the beginning of a stop; the part with the earliest time stops first.
     """
 
     health_key: ClassVar[str] = ""

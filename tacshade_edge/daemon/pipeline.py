@@ -1,26 +1,147 @@
-"""The two threads that frames pass through: `Grab` fills the mailbox, `Reconstruct` empties it."""
+"""Source, reconstructor and observers with their two threads: the graph that every live command runs.
+
+`Grab` fills the mailbox, `Reconstruct` empties it.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, StageTimer, Timings
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.daemon.ledger import FrameLedger, StageTimer, Timings
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """An exception that ended a thread."""
+
+    error: BaseException
+    thread: str
+
+
+class Pipeline:
+    """The graph. One of the `observers`, which see a frame in this order, settles it in the ledger.
+
+    `report` receives each new `SourceState` in the grab thread; `posed` adds the pose to a frame.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        running: Running,
+        observers: Sequence[FrameObserver],
+        ledger: FrameLedger,
+        timings: Timings,
+        report: Callable[[SourceState], None],
+        posed: Callable[[Frame], Frame] | None = None,
+    ) -> None:
+        self.ledger = ledger
+        self._mailbox: Mailbox[Frame] = Mailbox()
+        self.reconstruct = Reconstruct(running, self._mailbox, timings, observers, posed)
+        self.grab = Grab(source, self._mailbox, ledger, report, observers, self.reconstruct.wants_next)
+        # Daemon threads: a read or a step that hangs must not keep the process.
+        self._threads = (
+            threading.Thread(target=self.grab.run, name="grab", daemon=True),
+            threading.Thread(target=self.reconstruct.run, name="reconstruct", daemon=True),
+        )
+
+    def start(self) -> None:
+        """Start both threads."""
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Stop reading and finish the frame in the mailbox; return False if a thread did not end in time."""
+        deadline = time.monotonic() + timeout_s
+        grab, reconstruct = self._threads
+        self.grab.stop()
+        grab.join(timeout_s / 2)
+        self._mailbox.close()
+        reconstruct.join(max(0.0, deadline - time.monotonic()))
+        left = [thread.name for thread in self._threads if thread.is_alive()]
+        if left:
+            _log.warning("stopping without %s, which did not finish within %.1f s", " and ".join(left), timeout_s)
+        return not left
+
+
+@contextmanager
+def crashes_to(report: Callable[[Crash], None]) -> Iterator[None]:
+    """Report every exception that ends any thread, so that the process never runs on with a thread missing."""
+
+    def hook(crash: threading.ExceptHookArgs) -> None:
+        if crash.exc_value is not None:
+            report(Crash(crash.exc_value, crash.thread.name if crash.thread else "unknown"))
+
+    before, threading.excepthook = threading.excepthook, hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
+
+
+T = TypeVar("T")
+
+
+class Mailbox(Generic[T]):
+    """One slot between two threads: the newest item wins, nothing queues up.
+
+    Two locks replace a condition: `put` wakes the taker in its last step, so that the taker never wakes only to wait
+    for `put`.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._ready = threading.Lock()  # held while there is nothing to take
+        self._ready.acquire()
+        self._item: T | None = None
+        self._closed = False
+
+    def put(self, item: T) -> T | None:
+        """Leave `item` for the taker; never waits.
+
+        Returns the item that it replaced, or `item` itself if the mailbox is closed: the caller accounts for it.
+        """
+        with self._lock:
+            if self._closed:
+                return item
+            replaced, self._item = self._item, item
+        if replaced is None:
+            self._ready.release()
+        return replaced
+
+    def take(self) -> T | None:
+        """Wait for the item; None once the mailbox is closed and empty."""
+        self._ready.acquire()
+        with self._lock:
+            item, self._item = self._item, None
+            if self._closed:
+                self._ready.release()
+        return item
+
+    def close(self) -> None:
+        """Let the taker have the item in the slot, then None."""
+        with self._lock:
+            wakes = self._item is None and not self._closed
+            self._closed = True
+        if wakes:
+            self._ready.release()
+
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 LOOK_EVERY = 6
@@ -32,18 +153,8 @@ only the source's `skip`: it is neither copied nor passed to another thread."""
 class Grab:
     """Reads the source until it ends, and reopens a lost one with growing pauses.
 
-    Parameters
-    ----------
-    source : FrameSource
-    mailbox : Mailbox of Frame
-        The newest frame wins: the source never waits.
-    ledger : FrameLedger
-    report : callable
-        Called in this thread with each new `SourceState`, never twice in a row with the same.
-    observers : sequence of FrameObserver
-        Their `tap` takes every frame.
-    wants_next : callable
-        Whether the next frame goes to the mailbox; called once for each frame, before it comes.
+    `report` is called in this thread with each new `SourceState`, never twice in a row with the same; `wants_next` once
+    for each frame, before it comes: whether it goes to the mailbox. The observers' `tap` takes every frame.
     """
 
     def __init__(
@@ -148,18 +259,9 @@ class Running(Protocol):
 
 
 class Reconstruct:
-    """Takes the newest frame, reconstructs it, and shows it to all observers.
+    """Takes the newest frame, reconstructs it, and shows it to all observers, in their order.
 
-    Parameters
-    ----------
-    running : Running
-        Read for each frame.
-    mailbox : Mailbox of Frame
-    timings : Timings
-    observers : sequence of FrameObserver
-        In the order in which they see a frame.
-    posed : callable or None
-        Adds the pose to a frame after its reconstruction: the pose that follows the frame may have come by then.
+    `posed` adds the pose to a frame after its reconstruction: the pose that follows the frame may have come by then.
     """
 
     def __init__(

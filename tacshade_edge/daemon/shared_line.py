@@ -17,8 +17,7 @@ from typing import Any, Final
 
 import msgspec
 
-from tacshade_edge.daemon.robot.motion import RobotMotion
-from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, PortState
+from tacshade_edge.daemon.serial_line import SILENT_NS, PortState, RobotMotion
 from tacshade_edge.protocol.serial.framing import Mode
 from tacshade_edge.protocol.serial.link import PoseArrived
 from tacshade_edge.protocol.serial.pose import PoseSample
@@ -60,17 +59,7 @@ _decoder: Final = msgspec.msgpack.Decoder(_Pose | _Sync | _Restart | _Port)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedLine:
-    """A sensor's part in a shared line.
-
-    Attributes
-    ----------
-    owner : str
-        The sensor that has the port.
-    ends : tuple of socket
-        The owner's, one to each follower.
-    hears : socket or None
-        The follower's, from the owner.
-    """
+    """A sensor's part in a shared line: the owner's `ends`, or the socket on which a follower `hears` the owner."""
 
     owner: str
     ends: tuple[socket.socket, ...] = ()
@@ -144,15 +133,7 @@ class ForwardingMotion(RobotMotion):
 
 
 class FollowingChannel:
-    """Replaces a `SerialChannel` if another sensor has the port.
-
-    Attributes
-    ----------
-    port_state : PortState
-        Its details include the owner.
-    quiet_since_ns : int
-    mode : str
-    """
+    """Replaces a `SerialChannel` if another sensor has the port, whose name is in the details of `port_state`."""
 
     def __init__(self, owner: str, hears: socket.socket, motion: RobotMotion) -> None:
         self.port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"), {"shared_by": owner})

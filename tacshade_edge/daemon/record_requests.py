@@ -11,8 +11,8 @@ from pathlib import Path
 import msgspec
 
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.observer import RECORDED_S, FrameObserver, SourceState
-from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
+from tacshade_edge.daemon.observer import RECORDED_S, FrameObserver, SourceState
+from tacshade_edge.daemon.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.protocol.messages import encode_status
@@ -31,15 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class RecordRequests(FrameObserver):
-    """Handles requests; each gets exactly one reply, for ``stop`` when everything is written.
-
-    Parameters
-    ----------
-    recorder : LiveRecorder
-    reply : Reply
-    publish : callable
-        ``publish(status_payload)``.
-    """
+    """Handles requests; each gets exactly one reply, for ``stop`` when everything is written."""
 
     health_key = "recorder"
     stop_s = RECORDED_S

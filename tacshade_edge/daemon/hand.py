@@ -1,29 +1,151 @@
-"""The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device."""
+"""The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device.
+
+Each finger has its own pair of datagram sockets, made before any process is forked: a finger that fills its line harms
+no other, what comes out of a line is that finger's, and neither end waits. One byte of shared memory holds what the
+hand wants.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import logging
+import mmap
 import selectors
 import signal
 import socket
 import time
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final
 
-from tacshade_edge.daemon.hand.lines import HandLine, Lines
-from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.daemon.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
 from tacshade_edge.free_memory import share_free_memory
-from tacshade_edge.hand.aggregator import HandAggregator
+from tacshade_edge.hand import HandAggregator
 from tacshade_edge.protocol import json_payload, requests
-from tacshade_edge.protocol.hand import encode_hand
+from tacshade_edge.protocol.hand import Finger, away, decode_finger, encode_finger, encode_hand, finger_of
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.settings import Hand
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.settings import Hand, Settings
+from tacshade_edge.types import Need
+
+BYTES_MAX = 1 << 15
+
+
+class FingerLine:
+    """A finger's end. If no hand's process reads it, the kernel takes some hundred messages and then no more."""
+
+    def __init__(self, sock: socket.socket, wanted: mmap.mmap) -> None:
+        self._sock = sock
+        self._wanted = wanted
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody listens to the hand."""
+        return self._wanted[0] != 0
+
+    def report(self, finger: Finger) -> None:
+        """Send a report, or drop it if there is no room; the next comes soon."""
+        with contextlib.suppress(OSError):
+            self._sock.send(encode_finger(finger))
+
+    def close(self) -> None:
+        """Close this end."""
+        self._sock.close()
+
+
+class HandLine:
+    """The hand's end of one finger's line."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._sock = sock
+
+    def fileno(self) -> int:
+        """The file descriptor, for a selector."""
+        return self._sock.fileno()
+
+    def close(self) -> None:
+        """Close this end."""
+        self._sock.close()
+
+    def take(self) -> Finger | None:
+        """The oldest report that waits; None if none does. Raises DecodeError."""
+        try:
+            return decode_finger(self._sock.recv(BYTES_MAX))
+        except BlockingIOError:
+            return None
+
+
+class Lines:
+    """All lines of a hand: the ends of its `fingers` and those of the `hand`, by the fingers' ids."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._wanted = mmap.mmap(-1, 1)
+        self.fingers: dict[str, FingerLine] = {}
+        self.hand: dict[str, HandLine] = {}
+        for name in names:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            ours.setblocking(False)
+            theirs.setblocking(False)
+            self.hand[name], self.fingers[name] = HandLine(ours), FingerLine(theirs, self._wanted)
+
+    def end(self, name: str) -> None:
+        """Report for a finger that its process has ended."""
+        if name in self.fingers:
+            self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended")))
+
+    def close(self) -> None:
+        """Close this process's ends."""
+        for name, finger in self.fingers.items():
+            finger.close()
+            self.hand[name].close()
+
+    def want(self, wanted: bool) -> None:
+        """Notify all fingers whether somebody listens to the hand."""
+        self._wanted[0] = wanted
+
+
+PERIOD_NS: Final = 100_000_000  # without contact; in contact, every frame is reported
+
+
+class FingerReporter(FrameObserver):
+    """One sensor as a finger: while somebody listens to the hand, it requests depth and reports."""
+
+    def __init__(self, line: FingerLine, hand_T_sensor: Rigid) -> None:
+        self._line = line
+        self._hand_T_sensor = hand_T_sensor
+        self._reported: tuple[bool, bool] | None = None
+        self._reported_ns = 0
+
+    def need(self) -> Need:
+        """How much of the next frame the hand needs."""
+        return Need.DEPTH if self._line.wanted else Need.CONTACT
+
+    def see(self, seen: FrameResult) -> None:
+        """Report a frame's result: every one in contact, every change, and otherwise ten a second."""
+        if (result := seen.reconstruction) is None or not self._line.wanted:
+            self._reported = None
+            return
+        now = (result.contact, result.valid)
+        if result.contact or now != self._reported or not 0 <= result.t_ns - self._reported_ns < PERIOD_NS:
+            self._reported, self._reported_ns = now, result.t_ns
+            self._line.report(finger_of(result, self._hand_T_sensor))
+
+    def settings_changed(self, settings: Settings) -> None:
+        """Take the sensor's new pose in its hand."""
+        if settings.hand_T_sensor:
+            self._hand_T_sensor = from_seven(settings.hand_T_sensor)
+
+    def source_changed(self, source: SourceState) -> None:
+        """Report that no usable frames come, even if nobody listens."""
+        if source.reason:
+            self._line.report(away(source.reason))
+
 
 _log = logging.getLogger(__name__)
 
@@ -35,13 +157,7 @@ STOPPED_S: Final = 1.9
 
 
 class HandProcess:
-    """One hand's conversation with its fingers and the broker.
-
-    Raises
-    ------
-    ConfigError
-        The broker's settings can never work.
-    """
+    """One hand's conversation with its fingers and the broker. Raises ConfigError for settings that can never work."""
 
     def __init__(self, hand: Hand, lines: Lines) -> None:
         self._lines = lines
@@ -66,13 +182,7 @@ class HandProcess:
         self._rouse()
 
     def run(self) -> None:
-        """Work until `stop`.
-
-        Raises
-        ------
-        BaseException
-            The exception that ended a thread; the broker then publishes the last will.
-        """
+        """Work until `stop`. Raises the exception that ended a thread; the broker then publishes the last will."""
         share_free_memory()
         with crashes_to(self._on_crash):
             self._link.start()

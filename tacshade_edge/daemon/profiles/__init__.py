@@ -1,1 +1,0 @@
-"""Chooses the profile that runs, and keeps its reconstructor."""

@@ -1,0 +1,253 @@
+"""What is published, and when: a frame's results, ``health``, ``preview``, and the announcement in Home Assistant."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tacshade_edge.daemon.ledger import Counts, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.received import decode_status
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.settings import Settings
+from tacshade_edge.types import Frame, Need, Reconstruction, Slip
+from tacshade_edge.version import installed_version
+
+CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
+
+
+class Publisher(FrameObserver):
+    """Publishes what subscribers want of a frame, and settles the frame.
+
+    With contact: ``height``, ``cloud``, ``shear``, ``sigma``, ``touch`` and ``contact`` of every frame, and one
+    ``event/slip`` when an object begins to slide. Without: one zero ``height`` and one empty ``touch`` when the contact
+    ends (flagged if an invalid frame ended it), then only ``contact`` at 10 Hz. If a frame's height is offered, the
+    outcome of that offer settles the frame, otherwise `settle` does. Messages without a listener are left out, except
+    at the beginning and end of a contact that is or was published: no subscriber is left with outdated values. With
+    `always_shear` it requests shear even without a listener: for slip, and for its numbers in ``contact``. None of the
+    callables may wait.
+    """
+
+    def __init__(
+        self,
+        offer: Callable[[str, bytes, int], None],
+        publish_event: Callable[[str, bytes], None],
+        settle: Callable[[int, FrameOutcome], None],
+        has_listener: Callable[[str], bool] = lambda stream: True,
+        always_shear: bool = False,
+    ) -> None:
+        self._offer = offer
+        self._publish_event = publish_event
+        self._settle = settle
+        self._has_listener = has_listener
+        self._always_shear = always_shear
+        self._sliding: frozenset[int | None] = frozenset()
+        self._contact = False
+        self._contact_sent_ns: int | None = None
+        self.fps = 0.0
+
+    def need(self) -> Need:
+        """How much of a frame the listeners need."""
+        need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
+        if self._has_listener("sigma"):
+            need |= Need.SIGMA
+        if self._has_listener("touch"):
+            need |= Need.TOUCH
+        if any(map(self._has_listener, ("height", "cloud", "contact"))):
+            need |= Need.DEPTH
+        return need
+
+    def settings_changed(self, settings: Settings) -> None:
+        """Request shear as the settings say."""
+        self._always_shear = settings.shear == "always"
+
+    def see(self, seen: FrameResult) -> None:
+        """Offer the messages of this result."""
+        if (result := seen.reconstruction) is None:
+            self._settle(seen.frame.seq, "unasked")
+            return
+        changed = result.contact != self._contact
+        self._contact = result.contact
+        height_goes = changed or (result.contact and self._has_listener("height"))
+        if height_goes:
+            self._send("height", wire.encode_height, result, seen)
+        if result.contact and (changed or self._has_listener("cloud")):
+            self._send("cloud", wire.encode_cloud, result, seen)
+        if result.shear_mm is not None and (result.contact or changed) and self._has_listener("shear"):
+            self._send("shear", wire.encode_shear, result, seen)
+        if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
+            self._send("sigma", wire.encode_sigma, result, seen)
+        if (result.touch is not None or (changed and not result.contact)) and self._has_listener("touch"):
+            self._offer("touch", messages.encode_touch(result), result.seq)
+        sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
+        for began in sliding.keys() - self._sliding:
+            self._publish_event("event/slip", messages.encode_slip(result, sliding[began]))
+        self._sliding = frozenset(sliding)
+        sent_ns = self._contact_sent_ns
+        due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
+        if changed or (due and self._has_listener("contact")):
+            self._contact_sent_ns = result.t_ns
+            self._offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
+        if height_goes:
+            return
+        if result.contact:
+            self._settle(result.seq, "unasked")
+        else:
+            self._settle(result.seq, "without_contact" if result.valid else "invalid")
+
+    def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
+        frame, calibration = seen.frame, seen.calibration
+        payload = encode(
+            result,
+            calibration_crc32=0 if calibration is None else calibration.crc32,
+            pose=frame.pose,
+            pose_error_us=frame.pose_error_us,
+        )
+        self._offer(stream, payload, result.seq)
+
+
+# This many periods without one good frame are a state, not an event.
+UNUSABLE_PERIODS = 3
+
+
+def delivered(counts: Counts) -> int:
+    """Number of frames with a good outcome: sent, with nothing to send, or not requested."""
+    return counts.published + counts.without_contact + counts.unasked
+
+
+class Health(FrameObserver):
+    """The ``health`` message: how many frames arrived, their outcomes, and how fast, as means between two snapshots.
+
+    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid; None if one was good or none came.
+    """
+
+    def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
+        self._ledger = ledger
+        self._timings = timings
+        self._started_ns = self._last_ns = time.monotonic_ns()
+        self._last = ledger.counts()
+        self._unusable_periods = 0
+        self._latest: Reconstruction | None = None
+        self.unusable: Reason | None = None
+
+    def see(self, seen: FrameResult) -> None:
+        """Keep the newest reconstruction."""
+        self._latest = seen.reconstruction or self._latest
+
+    def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
+        """The message without the observers' reports; ``frames`` are all counted at one instant.
+
+        `source_dropped` frames never reached this process and are not among them.
+        """
+        now_ns = time.monotonic_ns()
+        counts, before = self._ledger.counts(), self._last
+        seconds = max(now_ns - self._last_ns, 1) / 1e9
+        self._last, self._last_ns = counts, now_ns
+        stages = self._timings.percentiles()
+        latest = self._latest
+        reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
+        self._judge(before, counts, reason)
+        return {
+            "wall_ns": time.time_ns(),
+            "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
+            "frames": counts.as_dict(),
+            "source_dropped": source_dropped,
+            "capture_fps": round((counts.captured - before.captured) / seconds, 2),
+            "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
+            "published_fps": round((counts.published - before.published) / seconds, 2),
+            "latency_ms": stages.pop("latency", None),
+            "stages_ms": stages,
+            **reason_fields(reason, "invalid_reason"),
+            **reason_fields(degraded, "degraded_reason"),
+            "mqtt": mqtt,
+        }
+
+    def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
+        """Note whether frames come but none can be used; keep the first reason, so that it is published once.
+
+        A missing calibration is no frame's fault: the daemon reports it.
+        """
+        if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
+            return
+        if delivered(counts) > delivered(before):
+            self._unusable_periods, self.unusable = 0, None
+        elif counts.invalid > before.invalid:
+            self._unusable_periods += 1
+        if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
+            self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame is usable")
+
+
+WIDTH_PX = 320
+
+
+class Preview(FrameObserver):
+    """The ``preview`` message: a small picture of what the camera sees; no frame twice."""
+
+    def __init__(self, link: MqttLink) -> None:
+        self._link = link
+        self._latest: Frame | None = None
+        self._published: Frame | None = None
+
+    def see(self, seen: FrameResult) -> None:
+        """Keep the newest frame."""
+        self._latest = seen.frame
+
+    def publish(self) -> None:
+        """Publish the newest frame if somebody listens."""
+        frame = self._latest
+        if frame is None or frame is self._published or not self._link.connected:
+            return
+        if not self._link.has_listener("preview"):
+            return
+        self._published = frame
+        size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
+        _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA))
+        self._link.offer("preview", jpeg.tobytes(), frame.seq)
+
+
+STATUS = "status/home_assistant"
+ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
+
+
+class HomeAssistant:
+    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do.
+
+    Retained announcements outlive the daemon, and so does the status under its own topics that reports them. A daemon
+    that must not announce withdraws what an earlier run announced; one that never announced writes nothing outside its
+    own topics.
+    """
+
+    def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:
+        self._link, self._sensor_id, self._wanted = link, sensor_id, wanted
+        self._announced: tuple[str, ...] | None = None
+        if not wanted:
+            link.watch(STATUS, self._withdraw)
+
+    def announce(self, profiles: Sequence[str]) -> None:
+        """Announce the sensor if the settings want it and the profiles are new."""
+        if not self._wanted or self._announced == tuple(profiles):
+            return
+        self._announced = tuple(profiles)
+        for topic, payload in encode_discovery(self._sensor_id, version=installed_version(), profiles=profiles).items():
+            self._link.set_retained(f"/{topic}", payload)
+        self._link.set_retained(STATUS, encode_status(ANNOUNCED))
+
+    def _withdraw(self, status: bytes) -> None:
+        """Withdraw what an earlier run announced, according to its status."""
+        try:
+            state = decode_status(STATUS, status).state
+        except DecodeError:
+            return
+        if state == ANNOUNCED:
+            for topic in discovery_topics(self._sensor_id):
+                self._link.set_retained(f"/{topic}", b"")
+            self._link.set_retained(STATUS, encode_status(WITHDRAWN))

@@ -1,1 +1,0 @@
-"""Publishes results, maps and health."""

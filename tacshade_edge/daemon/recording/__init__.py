@@ -1,1 +1,0 @@
-"""Recordings of the running daemon, and their replay."""

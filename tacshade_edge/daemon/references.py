@@ -1,0 +1,334 @@
+"""The reference in use: taken on request, or followed from frames of the resting sensor."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tacshade_edge.core.calibration.reference import following
+from tacshade_edge.core.calibration.reference.following import Distance
+from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.free_memory import return_free_memory
+from tacshade_edge.protocol.results import ReferenceTaken
+from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
+from tacshade_edge.storage.calibration import reference_file
+from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.storage.calibration.reference_file import StoredReference
+from tacshade_edge.storage.folder_lock import FolderLock
+from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+
+REFERENCE_FRAMES = 10
+
+
+class ReferenceCollector:
+    """Collects the images of the next frames; one touched or invalid frame spoils them.
+
+    `done` is called once, with all images or the reason that they cannot be used.
+    """
+
+    def __init__(self, done: Callable[[list[U8] | Reason], None]) -> None:
+        self._done = done
+        self._images: list[U8] = []
+        self._finished = False
+
+    def see(self, frame: Frame, result: Reconstruction) -> None:
+        """Take the next frame."""
+        if self._finished:
+            return
+        if not result.valid:
+            found = f"frame {frame.seq}: found an invalid frame ({result.reason})"
+            expected = "expected a valid frame of an untouched sensor"
+            self._finish(Reason(ReasonCode.FRAME_INVALID, f"{found}, {expected}"))
+        elif result.contact:
+            found = f"frame {frame.seq}: found a contact {result.depth_max_mm:.2f} mm deep"
+            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected no contact"))
+        else:
+            self._images.append(frame.image)
+            if len(self._images) == REFERENCE_FRAMES:
+                self._finish(self._images)
+
+    def _finish(self, outcome: list[U8] | Reason) -> None:
+        self._finished = True
+        self._done(outcome)
+
+
+UNTOUCHED_FRAMES = 10
+# A dent after a release is gone after 3 s; a soft skin under a long press needs a little more.
+REST_S = 10.0
+# What the reference follows changes over minutes and years.
+PERIOD_S = 60.0
+# After a longer gap between frames, nobody knows what touched.
+GAP_S = 3.0
+
+
+class UntouchedFrames:
+    """Ten frames of a sensor at rest once per `PERIOD_S`; a touched, invalid or doubtful frame ends them.
+
+    The reconstruct thread passes in every frame, the main thread takes the result. Time is that of the frames. Nothing
+    touched in the latest frame if `at_rest`; `spoiled` counts how often frames were begun and not finished.
+    """
+
+    def __init__(self) -> None:
+        self.at_rest = False
+        self.spoiled = 0
+        self._images: list[U8] = []
+        self._finished: list[U8] | Reason | None = None  # set by one thread, cleared by the other
+        self._last_ns: int | None = None
+        self._touched_ns = self._due_ns = 0
+
+    def take(self) -> list[U8] | Reason | None:
+        """The frames, or the doubt about one of them; None if there are none. Until taken, they block further ones."""
+        finished = self._finished
+        if finished is not None:
+            self._finished = None
+        return finished
+
+    def see(self, frame: Frame, result: Reconstruction | None) -> None:
+        """Take the next frame; one without a result shows a contact."""
+        now_ns, last_ns = frame.t_ns, self._last_ns
+        self._last_ns = now_ns
+        known = last_ns is not None and 0 <= now_ns - last_ns <= GAP_S * 1e9
+        self.at_rest = result is not None and result.valid and not result.contact
+        if not known or not self.at_rest:
+            self._touched_ns = now_ns
+            self._spoil()
+        elif self._finished is None and now_ns >= max(self._due_ns, self._touched_ns + int(REST_S * 1e9)):
+            self._add(frame, result.degraded if result else None)
+
+    def _add(self, frame: Frame, doubt: Reason | None) -> None:
+        if doubt is not None:
+            self._spoil()
+            self._finish(doubt, frame.t_ns)
+            return
+        self._images.append(frame.image)
+        if len(self._images) == UNTOUCHED_FRAMES:
+            images, self._images = self._images, []
+            self._finish(images, frame.t_ns)
+
+    def _finish(self, outcome: list[U8] | Reason, now_ns: int) -> None:
+        self._due_ns = now_ns + int(PERIOD_S * 1e9)
+        self._finished = outcome
+
+    def _spoil(self) -> None:
+        if self._images:
+            self._images = []
+            self.spoiled += 1
+
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """The reference that following starts from, of the calibration's file or of a request that outlives a restart.
+
+    `calibrated` is the calibration as in its file: requests are measured against it, so that no number of them leads
+    away from the geometry; `calibration` has this reference. `reason` is why a stored reference is not used, or why
+    this one will not outlive a restart.
+    """
+
+    calibrated: Calibration
+    calibration: Calibration
+    source: Literal["calibration", "request"] = "calibration"
+    wall_ns: int | None = None
+    reason: Reason | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content for ``info``."""
+        return {
+            "origin": self.source,
+            "wall_ns": self.wall_ns,
+            "calibration_crc32": self.calibration.crc32,
+            **reason_fields(self.reason),
+        }
+
+
+def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
+    """The reference that was stored for a calibration, or the calibration's own.
+
+    A reference stored for another calibration is deleted, so that it is reported once and never meets a later file,
+    except if another daemon owns it (`unowned`).
+    """
+    try:
+        stored = reference_file.load(path, calibrated)
+    except ConfigError as error:
+        _log.warning("%s; using the calibration's own reference", error)
+        if error.code is ReasonCode.CALIBRATION_CHANGED and unowned is None:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        return Origin(calibrated, calibrated, reason=error.reason)
+    if stored is None:
+        return Origin(calibrated, calibrated, reason=unowned)
+    taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
+    _log.info("using the reference taken at %s and stored in %s", taken, path)
+    return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
+
+
+def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None) -> Origin:
+    """Take a new reference and store it if possible, but not if another daemon owns the file (`unowned`).
+
+    Raises ConfigError if the images cannot be used.
+    """
+    taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
+    reason = unowned
+    if reason is None:
+        try:
+            reference_file.save(path, calibrated, taken)
+        except DeviceError as error:
+            reason = error.reason
+    if reason is not None:
+        reason = Reason(reason.code, f"{reason}; this reference lasts only until the next start or reload")
+    _log.info("took a new reference from %d frames%s", len(images), f": {reason}" if reason else "")
+    return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)
+
+
+State = Literal["waiting", "following", "stopped", "held"]
+
+
+class References(FrameObserver):
+    """Where the reference began, and how far it has followed from there.
+
+    Only the main thread uses it, except that the reconstruct thread calls `see`. `path` is the file of the stored
+    reference; `calibration` has the reference in use, or is why there is none.
+    """
+
+    health_key = "reference"
+    stop_s = STITCHED_S
+
+    def __init__(self, calibrated: Calibration | Reason, path: Path, sensor_id: str) -> None:
+        self._sensor_id = sensor_id
+        self._path = path
+        self._lock: FolderLock | None = None
+        self._unowned: Reason | None = None
+        self.frames = UntouchedFrames()
+        self._looks = self._renewals = 0
+        self._state: State = "waiting"
+        self._reason: Reason | None = None
+        self._distance: Distance | None = None
+        self._origin: Origin | Reason
+        self.calibration: Calibration | Reason
+        self.reload(calibrated, path)
+
+    def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
+        """Start again from the present files."""
+        if path != self._path:
+            self.close()
+            self._path = path
+        if isinstance(calibrated, Reason):
+            self._origin = self.calibration = calibrated
+        else:
+            self._own_file()
+            self._begin(restored(calibrated, path, self._unowned))
+
+    def see(self, seen: FrameResult) -> None:
+        """Take a frame to follow from; called in the reconstruct thread."""
+        self.frames.see(seen.frame, seen.reconstruction)
+
+    def stop(self, timeout_s: float) -> None:
+        """Let another daemon have the stored reference."""
+        self.close()
+
+    def close(self) -> None:
+        """Let another daemon have the stored reference."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def _own_file(self) -> None:
+        """Become the one daemon that stores references here, or note why not."""
+        if self._lock is not None:
+            return
+        self._unowned = None
+        try:
+            self._lock = FolderLock(self._path.parent, f"sensor {self._sensor_id}", file=self._path.name)
+        except DeviceError as error:
+            if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is reported when something is stored
+                _log.warning("%s; this daemon does not store new references", error)
+                self._unowned = error.reason
+
+    def take(self, images: Sequence[U8]) -> ReferenceTaken:
+        """Start over with images of the resting sensor. Raises ConfigError if they cannot be used."""
+        if isinstance(self._origin, Reason):
+            raise ConfigError(self._origin.text, code=self._origin.code)
+        self._own_file()
+        origin = requested(self._origin.calibrated, images, self._path, self._unowned)
+        self._begin(origin)
+        taken = origin.calibration
+        return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
+
+    def follow(self, held: bool) -> bool:
+        """Follow if frames for it have come; return True if `calibration` or the content of ``info`` has changed.
+
+        The reference is `held` while a recording contains it.
+        """
+        taken, calibration = self.frames.take(), self.calibration
+        if taken is None or isinstance(self._origin, Reason) or isinstance(calibration, Reason):
+            return False
+        if held:
+            return self._change_state("held", None)
+        self._looks += 1
+        if isinstance(taken, Reason):
+            return self._change_state("stopped", taken)
+        followed = following.follow(self._origin.calibration, calibration, taken)
+        return_free_memory()  # the heap kept 7 MB
+        self._distance = followed.distance
+        changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
+        # A new reference during a contact would be a step in its heights; the next frames at rest yield it again.
+        if followed.calibration is None or not self.frames.at_rest:
+            return changed
+        self.calibration = with_crc(followed.calibration)
+        self._renewals += 1
+        _log.debug("reference renewed: %s", followed.distance)
+        return True
+
+    def info(self) -> dict[str, Any] | None:
+        """The content for ``info``: where the reference began, its bounds from there, and whether it reached them."""
+        if isinstance(self._origin, Reason):
+            return None
+        disc = self._origin.calibration.geometry.disc
+        state = {"state": self._state, **reason_fields(self._reason, "stopped")}
+        return {**self._origin.as_dict(), "bounds": following.bounds(disc), **state}
+
+    def health(self) -> dict[str, Any]:
+        """The report for ``health``: how it follows, and how far the latest frames at rest were from where it began."""
+        return {
+            "state": self._state,
+            **reason_fields(self._reason),
+            "looks": self._looks,
+            "renewals": self._renewals,
+            "spoiled": self.frames.spoiled,
+            **_figures(self._distance),
+        }
+
+    def _begin(self, origin: Origin) -> None:
+        self._origin = origin
+        self.calibration = origin.calibration
+        self._state, self._reason, self._distance = "waiting", None, None
+
+    def _change_state(self, state: State, reason: Reason | None) -> bool:
+        """Set the state and return whether it changed; new figures in the same reason are no change."""
+        changed = (state, code_of(reason)) != (self._state, code_of(self._reason))
+        if changed:
+            _log.info("reference %s%s", state, f": {reason}" if reason else "")
+        self._state, self._reason = state, reason
+        return changed
+
+
+def _figures(distance: Distance | None) -> dict[str, float | None]:
+    """A distance in the form of ``info.bounds``; null if unknown."""
+    keys = ("shift_px", "moved_px", "light", "uneven", "contrast", "common_grey", "patch_grey")
+    if distance is None:
+        return dict.fromkeys(keys)
+    drift = distance.drift
+    values = (drift.shift_px, drift.moved_px, drift.light, drift.uneven, drift.contrast)
+    return {
+        key: round(value, 3)
+        for key, value in zip(keys, (*values, distance.common_grey, distance.patch_grey), strict=True)
+    }

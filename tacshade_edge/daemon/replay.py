@@ -1,0 +1,368 @@
+"""Replays a recording through the daemon's reconstructor and publisher, by the recording's clock.
+
+One thread and no mailbox: every frame is reconstructed, in order, so equal input and settings give equal results.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
+from tacshade_edge.daemon.ledger import StageTimer, Timings
+from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.publishing import Publisher
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.protocol import messages, requests
+from tacshade_edge.protocol.requests import PlaybackCommand, Request
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
+from tacshade_edge.types import Calibration, Reconstruction
+from tacshade_edge.version import installed_version
+
+Deliver = Callable[[RecordedFrame, Reconstruction], None]
+
+
+@dataclass(slots=True)
+class Progress:
+    """The progress of a replay; it stays readable after an interruption.
+
+    Undecodable images are not among the frames; `first_ns` and `last_ns` are the recording's, `seconds` ours, including
+    the waits of a paced replay.
+    """
+
+    frames: int = 0
+    contacts: int = 0
+    invalid: int = 0
+    undecodable: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    seconds: float = 0.0
+    timings: Timings = field(default_factory=Timings)
+
+    @property
+    def recorded_seconds(self) -> float:
+        """Duration by the recording's clock, s, including the last frame's mean period."""
+        if self.frames < 2:
+            return 0.0
+        return (self.last_ns - self.first_ns) / 1e9 * self.frames / (self.frames - 1)
+
+    @property
+    def speed_up(self) -> float:
+        """Recorded time divided by our time."""
+        return self.recorded_seconds / self.seconds if self.seconds > 0 else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of ``timings.json``."""
+        return {
+            "frames": self.frames,
+            "seconds": round(self.seconds, 4),
+            "recorded_seconds": round(self.recorded_seconds, 4),
+            "speed_up": round(self.speed_up, 3),
+            "stages_ms": self.timings.percentiles(),
+        }
+
+
+def replay(
+    recording: Recording | Playback,
+    reconstructor: Reconstructor,
+    sinks: Sequence[Deliver],
+    progress: Progress,
+    *,
+    speed: float | None,
+    undecodable: Callable[[str], None],
+) -> None:
+    """Reconstruct every frame and deliver it to every sink, in order; `speed` None is as fast as possible.
+
+    `undecodable` receives a line about every image that cannot be used. Raises ConfigError if the first image does not
+    have the calibration's size: it is another sensor's recording.
+    """
+    begin_ns = time.monotonic_ns()
+    pause, tracker, timer = threading.Event(), ContactTracker(), StageTimer()
+    while True:
+        try:
+            recorded = recording.read()
+        except DecodeError as error:
+            progress.undecodable += 1
+            undecodable(str(error))
+            continue
+        if recorded is None:
+            return
+        frame = recorded.frame
+        if progress.frames == 0:
+            progress.first_ns = frame.t_ns
+        if speed is not None:
+            due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
+            pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
+        timer.begin()
+        result = step_and_track(reconstructor, tracker, frame, timer.mark)
+        assert result is not None  # by default everything is needed
+        if progress.frames == 0 and result.reason is not None and result.reason.code is ReasonCode.SIZE:
+            _refuse_size(recorded, reconstructor.calibration)
+        for deliver in sinks:
+            deliver(recorded, result)
+        timer.mark("deliver")
+        progress.timings.add(timer.ms)
+        progress.frames += 1
+        progress.contacts += result.contact
+        progress.invalid += not result.valid
+        progress.last_ns = frame.t_ns
+        progress.seconds = (time.monotonic_ns() - begin_ns) / 1e9
+
+
+def _refuse_size(recorded: RecordedFrame, calibration: Calibration) -> None:
+    height, width = recorded.frame.image.shape[:2]
+    raise ConfigError(
+        f"{recorded.name}: found {width}x{height} px, expected {calibration.image_width_px}x"
+        f"{calibration.image_height_px} px, the size of the calibration's images"
+    )
+
+
+Changed = Callable[[dict[str, Any]], None]
+_MS: Final = 3  # decimals of a second
+REPORT_PERIOD_S: Final = 1.0
+"""How often the status is repeated while paused: a slow page loses what comes faster than it can take."""
+
+
+class Playback:
+    """Plays a recording for a person (``req/replay``): paused, frame by frame, from anywhere, faster and slower.
+
+    It provides each frame when it is due; the end is a pause, after which playback can continue anywhere. One thread
+    calls `read`; any may call `command` and `status`. `reopen` opens the recording at its first frame; `changed`
+    receives the status after every command, and at the end.
+    """
+
+    def __init__(self, reopen: Callable[[], Recording], speed: float, changed: Changed) -> None:
+        self._reopen = reopen
+        self._recording = reopen()
+        self._changed = changed
+        self._wake = threading.Condition()
+        self._speed = speed
+        self._paused = False
+        self._steps = self._backs = 0
+        self._seek_ns: int | None = None  # after the first frame
+        self._start: tuple[int, int] | None = None  # our time and the recording's when the present pace began
+        self._first_ns: int | None = None
+        self._last_ns = 0  # time of the latest frame that was shown
+        self._seq: int | None = None
+
+    def command(self, command: PlaybackCommand) -> dict[str, Any]:
+        """Carry out a command and return the resulting status."""
+        with self._wake:
+            self._start = None
+            if command.paused is not None:
+                self._paused = command.paused
+            if command.step:
+                self._paused = True
+                self._steps += 1
+            if command.back:
+                self._paused = True
+                self._backs += 1
+            if command.speed is not None:
+                self._speed = command.speed
+            if command.seek_s is not None:
+                self._seek_ns = round(command.seek_s * 1e9)
+            self._wake.notify_all()
+        status = self.status()
+        self._changed(status)
+        return status
+
+    def status(self) -> dict[str, Any]:
+        """The content of ``status/replay``, without its state and reason."""
+        with self._wake:
+            return {
+                "paused": self._paused,
+                "speed": self._speed,
+                "position_s": round((self._last_ns - (self._first_ns or 0)) / 1e9, _MS),
+                "length_s": round(self._recording.length_ns / 1e9, _MS),
+                "frame": self._seq,
+            }
+
+    def read(self) -> RecordedFrame:
+        """Wait for the next frame to show. Raises DecodeError if its image cannot be used, and as `Recording` does."""
+        ahead: RecordedFrame | None = None
+        still_paused = False
+        while True:
+            if still_paused:
+                self._changed(self.status())
+            with self._wake:
+                target_ns, self._seek_ns = self._seek_ns, None
+                backs, self._backs = self._backs, 0
+            wound = target_ns is not None or backs > 0
+            if target_ns is not None:
+                ahead = self._from(target_ns, ahead)
+            elif backs:
+                ahead = self._before(backs)
+            ahead = ahead or self._recording.read()
+            if ahead is None:
+                self._end()
+                continue
+            t_ns = ahead.frame.t_ns
+            with self._wake:
+                if self._first_ns is None:
+                    self._first_ns = t_ns
+                if self._wound:
+                    continue
+                wait_s = 0.0 if wound else self._wait_s(t_ns)
+                if wait_s > 0:
+                    still_paused = not self._wake.wait(min(wait_s, REPORT_PERIOD_S)) and self._paused
+                    continue
+                self._steps = max(self._steps - 1, 0)
+                self._last_ns, self._seq = t_ns, ahead.frame.seq
+            return ahead
+
+    @property
+    def _wound(self) -> bool:
+        """Whether a frame other than the next is requested."""
+        return self._seek_ns is not None or self._backs > 0
+
+    def _wait_s(self, t_ns: int) -> float:
+        if self._paused:
+            return 0.0 if self._steps else float("inf")
+        now_ns = time.monotonic_ns()
+        self._start = self._start or (now_ns, t_ns)
+        return (self._start[0] + (t_ns - self._start[1]) / self._speed - now_ns) / 1e9
+
+    def _from(self, target_ns: int, ahead: RecordedFrame | None) -> RecordedFrame | None:
+        """The first frame at least `target_ns` after the recording's first one."""
+        target_ns += self._first_ns or 0
+        if target_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
+            self._recording = self._reopen()
+        self._recording.skip_to(target_ns)
+        with self._wake:
+            self._start = None
+        return self._recording.read()
+
+    def _before(self, frames: int) -> RecordedFrame | None:
+        """The frame that is this many before the latest one shown, or the first."""
+        self._recording = self._reopen()
+        self._recording.skip_to_before(self._last_ns, frames)
+        return self._recording.read()
+
+    def _end(self) -> None:
+        with self._wake:
+            self._paused, self._steps = True, 0
+        again = False
+        while not again:
+            self._changed(self.status())
+            with self._wake:
+                again = bool(
+                    self._wake.wait_for(lambda: not self._paused or self._steps or self._wound, REPORT_PERIOD_S)
+                )
+        with self._wake:
+            if not self._wound:
+                self._seek_ns = 0  # play again from the first frame
+
+
+CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
+PLAYBACK_PERIOD_S = 0.25
+REPLAY = Reason(ReasonCode.REPLAY, "replay")
+
+
+class ReplayLink:
+    """Publishes what `run` would, under a separate sensor id: every frame in contact, and the numbers in between.
+
+    With `wait`, it waits until the socket has taken each payload, so that none is superseded; otherwise the newest
+    wins, as in `run`. Raises ConfigError for a host name that can never work.
+    """
+
+    def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
+        self._where = f"{broker['host']}:{broker['port']}"
+        self._calibration = reconstructor.calibration
+        self._profile = reconstructor.profile.name
+        self._wait = wait
+        self._changed = threading.Condition()
+        self._open = 0
+        self._began_s = 0.0
+        self._frames = 0
+        self._link = MqttLink(
+            **broker,
+            base_topic=f"tacshade/{sensor_id}",
+            client_id=f"tacshade-replay-{sensor_id}",
+            on_request=self._on_request,
+            on_outcome=self._on_outcome,
+        )
+        self._playback: Playback | None = None
+        self._reported_s = 0.0
+        self._publisher = Publisher(self._offer, self._link.publish_event, lambda *_: None)
+
+    def obey(self, playback: Playback) -> None:
+        """Let ``req/replay`` control this playback."""
+        self._playback = playback
+
+    def report_playback(self, status: dict[str, Any]) -> None:
+        """Publish the retained ``status/replay``."""
+        state = "paused" if status["paused"] else "playing"
+        details = {key: value for key, value in status.items() if key != "paused"}
+        self._link.set_retained("status/replay", messages.encode_status(state, None, details))
+
+    def start(self) -> None:
+        """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""
+        info = messages.encode_info(
+            version=installed_version(), config_digest="replay", profile=self._profile, calibration=self._calibration
+        )
+        self._link.set_retained("info", info)
+        self._link.set_retained("status/camera", messages.encode_status("streaming", REPLAY))
+        self._link.start()
+        deadline_s = time.monotonic() + CONNECT_S
+        pause = threading.Event()
+        while not self._link.connected:
+            if time.monotonic() > deadline_s:
+                reason = self._link.reason or Reason(ReasonCode.NO_ANSWER, "no answer")
+                expected = f"expected a connection to the broker at {self._where} within {CONNECT_S:.0f} s"
+                raise DeviceError(f"{reason}; {expected}", code=reason.code)
+            pause.wait(0.02)
+        self._began_s = time.monotonic()
+
+    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
+        """Publish a result. Raises DeviceError if it must wait and the broker takes nothing."""
+        self._frames += 1
+        self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
+        self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
+        if self._playback is not None and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S:
+            self._reported_s = now_s
+            self.report_playback(self._playback.status())
+        if self._wait:
+            with self._changed:
+                if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
+                    found = f"{self._where}: the broker accepted no message for {HAND_OVER_S:.0f} s"
+                    raise DeviceError(found, code=ReasonCode.STALLED)
+
+    def counters(self) -> dict[str, int]:
+        """Number of payloads so far: published, superseded, failed, and the link's other counts."""
+        return self._link.counters()
+
+    def stop(self) -> None:
+        """Publish the end and disconnect."""
+        self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
+        if self._playback is not None:
+            self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))
+        self._link.stop(STOP_S)
+
+    def _offer(self, stream: str, payload: bytes, seq: int) -> None:
+        with self._changed:
+            self._open += 1
+        self._link.offer(stream, payload, seq)
+
+    def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
+        with self._changed:
+            self._open -= 1
+            self._changed.notify_all()
+
+    def _on_request(self, request: Request) -> None:
+        if request.playback is not None and self._playback is not None:
+            self._reported_s = 0.0
+            status = self._playback.command(request.playback)
+            self._link.reply(request, requests.encode_reply(request, status))
+            return
+        refusal = Reason(
+            ReasonCode.UNAVAILABLE, "a replay does not accept this request (replay --play accepts req/replay)"
+        )
+        self._link.reply(request, requests.encode_error(request.transaction, refusal))

@@ -1,1 +1,0 @@
-"""The robot next to the sensor: its line, clock and commands."""

@@ -1,0 +1,482 @@
+"""The robot's line: its clock and poses, its commands, and the serial thread, which carries their bytes."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from queue import Empty, SimpleQueue
+from typing import Any, Literal, Protocol
+
+from tacshade_edge.core.stitching.poses import PoseBuffer
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.protocol.requests import Request
+from tacshade_edge.protocol.results import (
+    ClockRead,
+    FrameCaptured,
+    LineStatus,
+    ReferenceTaken,
+    RequestResult,
+    SerialResult,
+    SessionResult,
+    TouchSwitched,
+)
+from tacshade_edge.protocol.serial.clock_sync import ClockSync, SyncState
+from tacshade_edge.protocol.serial.commands import (
+    Command,
+    PortOpened,
+    PosesMissing,
+    SyncChanged,
+    TouchAsked,
+    TouchSeen,
+    parse_touch,
+    too_slow,
+)
+from tacshade_edge.protocol.serial.framing import Mode
+from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
+from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Frame, Pose, Reconstruction
+
+
+class RobotMotion:
+    """Where the sensor was and when. Any thread may use it; no call waits more than a few microseconds."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sync = ClockSync()
+        self._poses = PoseBuffer()
+        self._restarts = 0
+
+    def restart(self) -> None:
+        """Start over with another clock: the robot sent its greeting."""
+        with self._lock:
+            self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
+            self._forget_old()
+
+    def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        """Take a ``SYNC`` that arrived; `sync_answered` must follow."""
+        with self._lock:
+            self._sync.sync_received(t1_ns, t2_ns, t4_ns)
+            self._forget_old()
+
+    def sync_answered(self, t3_ns: int) -> None:
+        """Take the time at which the reply to the ``SYNC`` was given to the port."""
+        with self._lock:
+            self._sync.sync_answered(t3_ns)
+
+    def add(self, arrived: PoseArrived) -> None:
+        """Add a pose that arrived."""
+        sample = arrived.sample
+        with self._lock:
+            self._sync.stamp_received(sample.t_ns, arrived.arrived_ns)
+            self._forget_old()
+            self._poses.add(Pose(sample.t_ns, *sample.values))
+
+    def at(self, t_ns: int) -> tuple[Pose, int] | None:
+        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and its greatest time error in µs; None if unknown."""
+        with self._lock:
+            robot = self._sync.to_robot(t_ns)
+            sample = None if robot is None else self._poses.at(robot.t_ns)
+        if robot is None or sample is None:
+            return None
+        return replace(sample.pose, t_ns=t_ns), -(-(robot.error_ns + sample.extrapolated_ns) // 1000)
+
+    def state(self) -> SyncState:
+        """State of the clock synchronisation."""
+        with self._lock:
+            return self._sync.state()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counts for ``health``."""
+        with self._lock:
+            state, counts, late = self._sync.state(), self._sync.counts, self._poses.late
+            return {
+                "sync": state.mode,
+                "offset_ns": state.offset_ns,
+                "drift_ppm": state.drift_ppm,
+                "error_us": state.error_us,
+                "exchanges": counts.exchanges,
+                "exchanges_refused": counts.exchanges_refused,
+                "exchange_outliers": counts.outliers,
+                "clock_restarts": counts.restarts,
+                "poses_late": late,
+            }
+
+    def _forget_old(self) -> None:
+        """Drop the poses of an earlier clock."""
+        if self._restarts != self._sync.counts.restarts:
+            self._restarts = self._sync.counts.restarts
+            self._poses.clear()
+
+
+_JITTER = 0.25  # of a period: a frame that is this much early counts as on time
+
+
+class TouchEvents:
+    """What ``TOUCH ON`` requested, and the newest touch: it replaces one that the port has not taken yet."""
+
+    def __init__(self, baud: int, wake: Callable[[], None]) -> None:
+        self._baud = baud
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._asked: TouchAsked | None = None
+        self._waiting: TouchSeen | None = None
+        self._touches = False
+        self._due_ns = 0
+        self._events = self._dropped = 0
+
+    @property
+    def is_on(self) -> bool:
+        """Whether the robot requested touches."""
+        return self._asked is not None
+
+    def switch(self, asked: TouchAsked | None) -> TouchSwitched | Reason:
+        """Start what was requested, or stop; if the line is too slow, return the reason and change nothing."""
+        if asked is not None and (reason := too_slow(asked, self._baud)) is not None:
+            return reason
+        with self._lock:
+            self._asked, self._waiting, self._touches, self._due_ns = asked, None, False, 0
+        return TouchSwitched(asked.rate_hz if asked else 0)
+
+    def observe(self, result: Reconstruction) -> None:
+        """Keep a frame's touch for the port if it is due; an invalid frame changes nothing."""
+        if self._asked is None or not result.valid:
+            return
+        with self._lock:
+            seen = self._due(self._asked, result)
+            if seen is None:
+                return
+            self._dropped += self._waiting is not None
+            self._waiting = seen
+        self._wake()
+
+    def take(self) -> TouchSeen | None:
+        """Take the event that waits; None if there is none."""
+        with self._lock:
+            seen, self._waiting = self._waiting, None
+            self._events += seen is not None
+        return seen
+
+    def as_dict(self) -> dict[str, int]:
+        """For ``health``."""
+        return {"touch_events": self._events, "touch_dropped": self._dropped}
+
+    def _due(self, asked: TouchAsked | None, result: Reconstruction) -> TouchSeen | None:
+        if asked is None:
+            return None
+        if not result.contact:
+            ended, self._touches = self._touches, False
+            return TouchSeen(result.seq, result.t_ns, False, tuple((n, None) for n in asked.names)) if ended else None
+        if (touch := result.touch) is None:
+            return None  # the frame was begun before the request
+        self._touches = True
+        period_ns = 1_000_000_000 // asked.rate_hz
+        if result.t_ns < self._due_ns - _JITTER * period_ns:
+            return None
+        on_time = result.t_ns - self._due_ns < period_ns
+        self._due_ns = (self._due_ns if on_time else result.t_ns) + period_ns
+        return TouchSeen(result.seq, result.t_ns, True, tuple((n, touch.values.get(n)) for n in asked.names))
+
+
+CAPTURE_TIMEOUT_NS = 5_000_000_000
+WAITING_MAX = 16
+
+
+class Sessions(Protocol):
+    """Stitching sessions, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
+
+    def submit(self, action: str, name: str, reply: Callable[[SessionResult | Reason], None]) -> None:
+        """Do `action` (``BEGIN`` ...) without waiting; `name` is empty if none was given.
+
+        `reply` is called once, now or later, from any thread, with the result or the reason that there is none.
+        """
+        ...
+
+
+class SerialCommands:
+    """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them.
+
+    `on_request` passes a `Request` to the main thread, as for MQTT; `complete` receives its outcome. `wake` is called
+    when an answer waits to be sent. Without `sessions`, STITCH is ``UNAVAILABLE``.
+    """
+
+    def __init__(
+        self,
+        motion: RobotMotion,
+        on_request: Callable[[Request], None],
+        state: Callable[[], dict[str, Any]],
+        missing: Callable[[], Reason | None],
+        wake: Callable[[], None],
+        touch: TouchEvents,
+    ) -> None:
+        self.sessions: Sessions | None = None
+        self.touch = touch
+        self._motion = motion
+        self._on_request = on_request
+        self._state = state
+        self._missing = missing
+        self._wake = wake
+        self._answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = SimpleQueue()
+        self._lock = threading.Lock()
+        self._captures: list[Command] = []
+        self._requests: list[tuple[Request, Command]] = []
+
+    def handle(self, command: Command, link: SerialLink) -> None:
+        """Start a command; called in the serial thread."""
+        if command.verb == "SYNC":
+            t1_ns, *rest = map(int, command.args)
+            self._motion.sync_received(t1_ns, command.arrived_ns, rest[0] if rest else None)
+            t3_ns = time.monotonic_ns()
+            link.answer(command, ClockRead(command.arrived_ns, t3_ns))
+            self._motion.sync_answered(t3_ns)
+        elif command.verb == "STATUS":
+            link.answer(command, self._status(link))
+        elif (missing := self._missing()) is not None:
+            link.answer(command, missing)
+        elif command.verb == "TOUCH":
+            link.answer(command, self.touch.switch(parse_touch(command.args)))
+        elif command.verb == "CAPTURE":
+            with self._lock:
+                busy = len(self._captures) >= WAITING_MAX
+                if not busy:
+                    self._captures.append(command)
+            if busy:
+                link.answer(command, Reason(ReasonCode.BUSY, f"{WAITING_MAX} captures are already waiting"))
+        elif command.verb == "REFERENCE":
+            request = Request("reference")
+            with self._lock:
+                self._requests.append((request, command))
+            self._on_request(request)
+        elif self.sessions is None:
+            link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch"))
+        else:
+            action, *name = command.args
+            self.sessions.submit(action, name[0] if name else "", lambda outcome: self._answer(command, outcome))
+
+    def send_answers(self, link: SerialLink) -> None:
+        """Give the link the answers since the last call; called in the serial thread."""
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            late = [c for c in self._captures if now_ns - c.arrived_ns > CAPTURE_TIMEOUT_NS]
+            self._captures = [c for c in self._captures if c not in late]
+        for command in late:
+            link.answer(command, Reason(ReasonCode.TIMEOUT, f"no frame within {CAPTURE_TIMEOUT_NS / 1e9:.0f} s"))
+        while True:
+            try:
+                command, outcome = self._answers.get_nowait()
+            except Empty:
+                return
+            link.answer(command, outcome)
+
+    @property
+    def capture_pending(self) -> bool:
+        """Whether a CAPTURE waits for the next reconstruction."""
+        return bool(self._captures)
+
+    def observe(self, frame: Frame, result: Reconstruction) -> None:
+        """Answer the captures that arrived before this frame was taken."""
+        if not self._captures:
+            return
+        with self._lock:
+            ready = [c for c in self._captures if c.arrived_ns <= frame.t_ns]
+            self._captures = [c for c in self._captures if c not in ready]
+        for command in ready:
+            self._answer(command, _captured(frame, result))
+
+    def complete(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
+        """Take the main thread's outcome of a request; True if the robot made the request."""
+        with self._lock:
+            command = next((c for r, c in self._requests if r is request), None)
+            self._requests = [(r, c) for r, c in self._requests if r is not request]
+        if command is None:
+            return False
+        if not isinstance(outcome, ReferenceTaken | Reason):
+            raise TypeError(f"found {type(outcome).__name__} as the outcome of a reference")
+        self._answer(command, outcome)
+        return True
+
+    def _answer(self, command: Command, outcome: SerialResult | Reason) -> None:
+        self._answers.put((command, outcome))
+        self._wake()
+
+    def _status(self, link: SerialLink) -> LineStatus:
+        state, sync, counts = self._state(), self._motion.state(), link.counts
+        return LineStatus(
+            camera=state["source"],
+            fps=state["health"].get("delivered_fps", 0),
+            sync=sync.mode,
+            error_us=sync.error_us,
+            drift_ppm=sync.drift_ppm,
+            poses=counts.poses,
+            lost=counts.poses_lost,
+            damaged=counts.damaged,
+            garbage=counts.garbage,
+        )
+
+
+def _captured(frame: Frame, result: Reconstruction) -> FrameCaptured | Reason:
+    if not result.valid:
+        return Reason(ReasonCode.FRAME_INVALID, f"frame={result.seq}: {result.reason}")
+    return FrameCaptured(
+        frame=result.seq,
+        t_ns=result.t_ns,
+        contact=result.contact,
+        depth_mm=result.depth_max_mm,
+        area_mm2=sum(o.area_mm2 for o in result.objects),
+        objects=len(result.objects),
+        pose_error_us=None if frame.pose is None else frame.pose_error_us,
+    )
+
+
+_log = logging.getLogger(__name__)
+
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
+SILENT_NS = 3_000_000_000
+GAP_PERIOD_NS, GAP_LOG_PERIOD_NS = 1_000_000_000, 60_000_000_000
+NOT_READING_PAUSE_S = 1.0  # a robot that does not read gets nothing for this long
+
+
+@dataclass(frozen=True, slots=True)
+class PortState:
+    """State of the port."""
+
+    state: Literal["away", "open"]
+    reason: Reason | None = None
+    details: dict[str, str | int | float] = field(default_factory=dict)
+
+
+class SerialChannel:
+    """One robot's line: opens the port, reopens it when lost, and carries bytes between it and the link.
+
+    Any thread may read `port_state`, which is replaced as a whole, and `quiet_since_ns`: when the latest byte came or
+    the port was opened.
+    """
+
+    def __init__(self, port: SerialPort, motion: RobotMotion, commands: SerialCommands) -> None:
+        self.port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"))
+        self.quiet_since_ns = 0
+        self._port = port
+        self._link = SerialLink()
+        self._motion = motion
+        self._commands = commands
+        self._stop = threading.Event()
+        self._opened = 0
+        self._lost_ns: int | None = None
+        self._away_ms = 0
+        self._unsent_bytes = 0
+        self._write_after_s = 0.0
+        self._missing, self._gap_sent_ns, self._gap_logged_ns = 0, 0, 0
+        self._sent_sync = "none"
+
+    @property
+    def mode(self) -> Mode:
+        """``ASCII`` or ``BIN``."""
+        return self._link.mode
+
+    def stop(self) -> None:
+        """Make `run` return soon."""
+        self._stop.set()
+        self._port.wake()
+
+    def run(self) -> None:
+        """Serve the robot until `stop`; reopen a lost port with growing pauses."""
+        retry_s = FIRST_RETRY_S
+        while not self._stop.is_set():
+            try:
+                self._port.open()
+                self._on_open()
+                while not self._stop.is_set():
+                    if self._turn():
+                        retry_s = FIRST_RETRY_S
+            except DeviceError as error:
+                self._set_state(PortState("away", error.reason))
+                if self._lost_ns is None and self._opened:
+                    self._lost_ns = time.monotonic_ns()
+            finally:
+                self._port.close()
+                self._link.interrupted()
+            self._stop.wait(retry_s)
+            retry_s = min(2 * retry_s, LONGEST_RETRY_S)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counts for ``health``."""
+        return {
+            **self._link.counts.as_dict(),
+            "reopened": max(0, self._opened - 1),
+            "away_ms": self._away_ms,
+            "unsent_bytes": self._unsent_bytes,
+        }
+
+    def _on_open(self) -> None:
+        """Report to the robot how long the port was away: a session outlives its port."""
+        self._opened += 1
+        self.quiet_since_ns = time.monotonic_ns()
+        away_ms = 0
+        if self._lost_ns is not None:
+            away_ms = (self.quiet_since_ns - self._lost_ns) // 1_000_000
+            self._away_ms += away_ms
+            self._lost_ns = None
+        self._set_state(PortState("open", None, self._port.describe()))
+        self._link.notify(PortOpened(away_ms))
+
+    def _turn(self) -> bool:
+        """Wait once for bytes and handle all that they cause; return whether some came."""
+        data = self._port.read()
+        now_ns = time.monotonic_ns()
+        if data:
+            self.quiet_since_ns = now_ns
+        for received in self._link.receive(data, now_ns):
+            if isinstance(received, PoseArrived):
+                self._missing += received.missing
+                self._motion.add(received)
+            elif isinstance(received, Greeted):
+                _log.info("the robot sent a greeting%s", f", boot {received.boot}" if received.boot else "")
+                self._motion.restart()
+                self._commands.touch.switch(None)
+            else:
+                self._commands.handle(received, self._link)
+        self._commands.send_answers(self._link)
+        self._send_events(now_ns)
+        self._send_touch()
+        self._write()
+        return bool(data)
+
+    def _send_events(self, now_ns: int) -> None:
+        if self._missing and now_ns - self._gap_sent_ns >= GAP_PERIOD_NS:
+            self._link.notify(PosesMissing(self._missing))
+            if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
+                self._gap_logged_ns = now_ns
+                _log.info("lost %d poses so far, judging by gaps in the sequence numbers", self._link.counts.poses_lost)
+            self._missing, self._gap_sent_ns = 0, now_ns
+        sync = self._motion.state()
+        if sync.mode != self._sent_sync:
+            self._sent_sync = sync.mode
+            self._link.notify(SyncChanged(sync.mode, sync.error_us))
+            _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
+
+    def _send_touch(self) -> None:
+        """Pass the newest touch to a port with less than a line to send, so that the port sends the newest."""
+        if time.monotonic() < self._write_after_s or self._port.unsent() >= LINE_BYTES_MAX:
+            return
+        if (seen := self._commands.touch.take()) is not None:
+            self._link.notify(seen)
+
+    def _write(self) -> None:
+        data = self._link.take_output()
+        if not data:
+            return
+        if time.monotonic() < self._write_after_s:
+            self._unsent_bytes += len(data)
+        elif not self._port.write(data):
+            # Some of it may be sent; the robot's parser drops the cut line, and the robot repeats the command.
+            self._unsent_bytes += len(data)
+            self._write_after_s = time.monotonic() + NOT_READING_PAUSE_S
+
+    def _set_state(self, state: PortState) -> None:
+        if state != self.port_state:
+            self.port_state = state
+            _log.info("serial %s%s", state.state, f": {state.reason}" if state.reason else "")

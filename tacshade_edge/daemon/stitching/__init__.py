@@ -1,1 +1,0 @@
-"""Stitching sessions."""
