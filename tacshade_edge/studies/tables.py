@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -52,10 +52,20 @@ def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     return "\n".join([row(header), row(rule), *(row(line) for line in lines)])
 
 
-def grouped(rows: Iterable[Row], attribute: str) -> dict[Any, list[Row]]:
-    """Rows by the value of an attribute, in the order in which the values first appear."""
+def summary(
+    names: Sequence[str],
+    groups: Iterable[tuple[Sequence[str], Sequence[Row]]],
+    figures: Mapping[str, Callable[[Sequence[Row]], str]],
+) -> str:
+    """A Markdown table with a line for each group: its names, then each figure of its rows."""
+    lines = [(*name, *(figure(some) for figure in figures.values())) for name, some in groups]
+    return markdown((*names, *figures), lines)
+
+
+def grouped(rows: Iterable[Row], by: str | Callable[[Row], Any]) -> dict[Any, list[Row]]:
+    """Rows by the value of an attribute or a function, in the order in which the values first appear."""
     groups: dict[Any, list[Row]] = {}
-    value = attrgetter(attribute)
+    value = attrgetter(by) if isinstance(by, str) else by
     for row in rows:
         groups.setdefault(value(row), []).append(row)
     return groups

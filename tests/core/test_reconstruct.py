@@ -32,9 +32,9 @@ from tacshade_edge.simulator import camera_faults, nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
+from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
 from tools.testbed.simulator.variants import released
 

@@ -121,9 +121,8 @@ def test_a_frames_time_is_the_kernels(webcam: None) -> None:
     assert [frame.t_ns // 1000 for frame in frames] == [stamp_ns // 1000 for _, stamp_ns in handed]
 
 
-@pytest.mark.parametrize("percent", [0, 10])
-def test_inferred_drops_are_the_kernels(webcam: None, percent: int) -> None:
-    control(f"percentage_of_dropped_buffers={percent}")
+def test_inferred_drops_are_the_kernels(webcam: None) -> None:
+    control("percentage_of_dropped_buffers=10")
     camera = source(fps=kept_fps())
     with handed_over() as handed:
         camera.open()
@@ -133,8 +132,8 @@ def test_inferred_drops_are_the_kernels(webcam: None, percent: int) -> None:
     assert len(numbers) == len(frames) == DROPS_OF
     skip_unless_even(handed)
     truth = numbers[-1] - numbers[0] + 1 - len(numbers)
-    print(f"{percent} %: {truth} lost by the kernel's numbers, {camera.dropped} inferred")
-    assert percent == 0 or DROPS_OF / 30 <= truth <= DROPS_OF / 5, "the driver drops at random"
+    print(f"{truth} lost by the kernel's numbers, {camera.dropped} inferred")
+    assert DROPS_OF / 30 <= truth <= DROPS_OF / 5, "the driver drops at random"
     assert abs(camera.dropped - truth) <= 2
     assert abs((frames[-1].seq - frames[0].seq) - (numbers[-1] - numbers[0])) <= 2
 

@@ -1,3 +1,7 @@
+"""The time of a step's stages."""
+
+from __future__ import annotations
+
 import cv2
 import pytest
 

@@ -30,17 +30,9 @@ _BOOT_S = 0.3
 class Dialect:
     """What a firmware answers, as its source or documentation has it.
 
-    Attributes
-    ----------
-    name : str
-    about, position : str
-        Whole answers to M115 and M114, with their ok; `position` is a format of x, y and z.
-    boots : bool
-        Opening the port restarts the board.
-    m84_releases : bool
-        M84 with any parameter switches the motors off and forgets homing.
-    unhomed : str
-        Answer to a move before homing; empty if it moves.
+    `about` and `position` are whole answers to M115 and M114, with their ok; `unhomed` is that to a move before homing,
+    empty if it moves. If it `boots`, opening the port restarts the board; if `m84_releases`, M84 with any parameter
+    switches the motors off and forgets homing.
     """
 
     name: str
@@ -120,16 +112,9 @@ class Sensor:
 class Faults:
     """Faults, each of which happens once: at a number of received commands, or below a height of the head.
 
-    Attributes
-    ----------
-    damaged_line : int
-        Number of the line that arrives with a flipped bit.
-    lost_answer, error, restart : int
-        Number of the command whose answer is lost; that fails; that the printer answers by restarting.
-    halts_below_mm, loses_steps_below_mm : float
-        Heights below which the printer halts; below which the head moves 2 mm less than it reports.
-    highest_mm : float
-        Height above which the head does not move, without a report.
+    The line that arrives with a flipped bit, the command whose answer is lost, that fails, that restarts the printer;
+    the heights below which it halts and below which it moves 2 mm less than it reports; and above which it does not
+    move, without a report.
     """
 
     damaged_line: int = 0
@@ -143,18 +128,10 @@ class Faults:
 
 @dataclass
 class FakePrinter:
-    """Serves until the end of its ``with``.
+    """Serves at `port` until the end of its ``with``.
 
-    Attributes
-    ----------
-    hand : Path
-        The file that presses the simulated sensor; replaced whenever the head has moved.
-    pace : float
-        Seconds that each second of motion takes.
-    port : str
-        The host's port.
-    moves : list of (x, y, z)
-        Every place of the head so far, mm.
+    `hand` is the file that presses the simulated sensor, replaced whenever the head has moved; `pace` the seconds that
+    each second of motion takes, `moves` every place of the head so far, mm.
     """
 
     hand: Path

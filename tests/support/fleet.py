@@ -78,20 +78,7 @@ def board(folder: Path, name: str, central_port: int) -> ConfiguredBroker:
 
 
 class CentralClient:
-    """A client of the central broker: the user `USER`, or a board by its certificate.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the certificates.
-    port : int
-    hear : callable
-        Receives each message.
-    name : str or None
-        Name of a board; None for `USER`.
-    topics : tuple of str
-        Topics to subscribe to at QoS 1.
-    """
+    """A client of the central broker: the user `USER`, or a board (`name`) by its certificate from a folder."""
 
     def __init__(
         self, folder: Path, port: int, hear: Callable[[MQTTMessage], None], name: str | None = None, *topics: str

@@ -15,17 +15,7 @@ RADIUS_MM = 6.0
 
 
 class GrowingMap:
-    """A session whose presses each touch a disc of the pad exactly.
-
-    Parameters
-    ----------
-    publish : callable
-        ``publish(topic, payload)``.
-    name : str
-        The session's.
-    x_mm, y_mm : float
-        Where the pad's corner lies in the base frame.
-    """
+    """A session whose presses each touch a disc of the pad exactly; the pad's corner lies at x, y in the base frame."""
 
     def __init__(self, publish: Callable[[str, bytes], None], name: str, x_mm: float = 0.0, y_mm: float = 0.0) -> None:
         self._publish, self._name, self._corner_mm = publish, name, (x_mm, y_mm)

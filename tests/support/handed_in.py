@@ -14,8 +14,7 @@ PAINTED, PRESSED = GIVEN / "painted", GIVEN / "pressed"
 """Each with calibration.npz and images.npy (N, 480, 640); of the pressed ones facts.json, of what `PROFILE` finds."""
 PROFILE = "fast"
 CAPTURED = GIVEN / "captured.npy"
-"""(2, 480, 640): the simulated sensor free, and under the press `CAPTURED_PRESS`, for a person to take."""
-CAPTURED_PRESS = "ball 6 2.5 1 -3"
+"""(1, 480, 640): the simulated sensor free, for a person to take references."""
 IMAGES_A_PRESS = 10
 
 

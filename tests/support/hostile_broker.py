@@ -27,14 +27,7 @@ def publish(topic: bytes, payload: bytes = b"x") -> bytes:
 
 
 class HostileBroker:
-    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it.
-
-    Attributes
-    ----------
-    port : int
-    connects : int
-        Number of clients accepted so far.
-    """
+    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it."""
 
     def __init__(self, *raw: bytes, extra_codes: int = 0) -> None:
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0

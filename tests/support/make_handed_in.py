@@ -8,12 +8,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from support.handed_in import CAPTURED, CAPTURED_PRESS, IMAGES_A_PRESS, PAINTED, PRESSED, PROFILE
+from support.handed_in import CAPTURED, IMAGES_A_PRESS, PAINTED, PRESSED, PROFILE
 from tacshade_edge.cli import main
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator.objects import OBJECTS, ball
+from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.storage.calibration import calibration_file
@@ -61,10 +61,7 @@ def make_pressed() -> None:
 
 def make_captured() -> None:
     """What a camera shows while a person captures."""
-    _, radius_mm, depth_mm, x_mm, y_mm = CAPTURED_PRESS.split()
-    sensor, press = SimulatedSensor(), Press(ball(float(radius_mm)), float(x_mm), float(y_mm), float(depth_mm))
-    shown = [sensor.frame(touching, noise_seed=80).image for touching in ((), (press,))]
-    np.save(CAPTURED, np.stack([to_grey(image) for image in shown]))
+    np.save(CAPTURED, to_grey(SimulatedSensor().frame((), noise_seed=80).image)[None])
 
 
 if __name__ == "__main__":

@@ -92,19 +92,10 @@ def subscriber(port: int, names: list[str]) -> None:
 def ages(
     messages: list[tuple[int, HandObjects]], own_ns: dict[tuple[str, int | None], int]
 ) -> tuple[list[float], list[float]]:
-    """Age of the newest frame in each of the hand's messages, unless an earlier message already had it.
+    """Age in ms of the newest frame in each of the hand's messages, unless an earlier message already had it.
 
-    Parameters
-    ----------
-    messages : list of (int, HandObjects)
-        Decode time (CLOCK_MONOTONIC ns) and message.
-    own_ns : dict of (str, int) to int
-        Decode time of the finger's own height map by finger and frame.
-
-    Returns
-    -------
-    ages_ms, later_ms : list of float
-        Time since the frame's time stamp, and since the decode of the finger's own message, if there is one.
+    `messages` have their decode time (CLOCK_MONOTONIC ns), `own_ns` that of the finger's own height map by finger and
+    frame. The second list is the time since that, where there is one.
     """
     ages_ms, later_ms, latest_ns = list[float](), list[float](), 0
     for at_ns, hand in messages:

@@ -47,16 +47,10 @@ def write_posed_images(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The outcome of a fault.
+    """What a fault cost, and where the daemon reported it.
 
-    Attributes
-    ----------
-    lost, told : str
-        What was lost, and where the daemon reported the fault.
-    detected_s : float or None
-        Time until the daemon reported it; None if there is nothing to report.
-    recovered_s : float or None
-        Time from the fault's end until the daemon worked again; None if nothing stops working.
+    `detected_s` is the time until it was reported (None: there is nothing to report), `recovered_s` from the fault's
+    end until the daemon worked again (None: nothing stops working).
     """
 
     lost: str

@@ -41,13 +41,7 @@ def kinds(project: Path) -> tuple[str, ...]:
 
 
 def repository(tree: Path) -> str:
-    """The address of the repository, from pyproject.toml.
-
-    Raises
-    ------
-    ValueError
-        It is not an address: no index would take it.
-    """
+    """The repository's address, from pyproject.toml. Raises ValueError: it is none, and no index would take it."""
     found = str(tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Repository"])
     if not found.startswith("https://"):
         raise ValueError(f"pyproject.toml: Repository: found {found}, expected an address with https://")
@@ -55,18 +49,7 @@ def repository(tree: Path) -> str:
 
 
 def absolute(text: str, folder: str, address: str, ref: str) -> str:
-    """A README whose relative links lead into the repository at `ref`.
-
-    Parameters
-    ----------
-    text : str
-        Markdown, with HTML for images.
-    folder : str
-        Where the README is in the repository.
-    address : str
-    ref : str
-        A tag or commit.
-    """
+    """A README (Markdown, HTML for images) of a folder whose relative links lead into the repository at a tag."""
 
     def made(found: re.Match[str]) -> str:
         target = found["target"]
@@ -87,11 +70,7 @@ def absolute(text: str, folder: str, address: str, ref: str) -> str:
 def build(tree: Path, out: Path) -> list[Path]:
     """Build every distribution of the last commit of `tree` into `out`; return the files.
 
-    Raises
-    ------
-    ValueError
-        As `repository`.
-    subprocess.CalledProcessError
+    Raises ValueError (as `repository`) and subprocess.CalledProcessError.
     """
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:

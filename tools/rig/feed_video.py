@@ -3,12 +3,12 @@
 
 ::
 
-    python3 -m tools.rig.feed_video [--rate FPS] [--hold] FRAMES
+    python3 -m tools.rig.feed_video [--rate FPS] FRAMES
 
-FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), or a folder of such images as PNG, played in the order of their
-names, round and round; with ``--hold`` each again and again until SIGUSR1. The kernel's test driver (vivid) is loaded
-with an HDMI output that is looped to its HDMI input: /dev/video0 captures 640x480 YUYV at 25 fps whose Y plane is the
-image that was last played. Prints ``playing`` when the first image can be captured; ends on SIGTERM.
+FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), or a folder of such images as PNG, played in the order of their names,
+round and round. The kernel's test driver (vivid) is loaded with an HDMI output that is looped to its HDMI input:
+/dev/video0 captures 640x480 YUYV at 25 fps whose Y plane is the image that was last played. Prints ``playing`` when
+the first image can be captured; ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -59,14 +59,8 @@ def set_up() -> None:
     _ctl(CAPTURE, "--set-ctrl", "loop_video=1,osd_text_mode=2")
 
 
-def play(frames: list[bytes], rate: float, hold: bool) -> None:
+def play(frames: list[bytes], rate: float) -> None:
     """Feed the frames to the output endlessly; the driver shows each until the next comes."""
-    turns = [0]
-
-    def turn(*_: object) -> None:
-        turns[0] += 1
-
-    signal.signal(signal.SIGUSR1, turn)
     command = ["v4l2-ctl", "-d", OUTPUT, "--stream-out-mmap=2", "--stream-from=-"]
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet) as player:
@@ -77,7 +71,7 @@ def play(frames: list[bytes], rate: float, hold: bool) -> None:
             print("playing", flush=True)
             due_s = time.monotonic()
             for played in itertools.count():
-                player.stdin.write(frames[(turns[0] if hold else played) % len(frames)])
+                player.stdin.write(frames[played % len(frames)])
                 player.stdin.flush()
                 due_s = max(due_s + 1 / rate, time.monotonic())
                 time.sleep(max(0.0, due_s - time.monotonic()))
@@ -99,11 +93,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="feed_video.py", description="Play grey images as /dev/video0.")
     parser.add_argument("frames", type=Path, metavar="FRAMES", help=".npy stack or folder of PNGs, 640x480")
     parser.add_argument("--rate", type=float, default=FPS, metavar="FPS", help=f"images a second ({FPS})")
-    parser.add_argument("--hold", action="store_true", help="play each image until SIGUSR1")
     args = parser.parse_args()
     frames = load(args.frames)
     set_up()
-    play(frames, args.rate, args.hold)
+    play(frames, args.rate)
 
 
 if __name__ == "__main__":

@@ -1,39 +1,36 @@
-"""The options and output files that the studies' programs share."""
+"""What the studies share: options, the way from sensors to rows, and output files."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors
+from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
+from tacshade_edge.studies.tables import csv_text
+from tacshade_edge.types import Calibration
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 
 NETWORKS = tuple(name for name in PROFILES if name != "paper")
 """The profiles that take far less than a second per frame."""
+COLOURS = ("#3d6fb4", "#e4572e", "#4a9c5d", "#8a5fb0")
+Row = TypeVar("Row")
+Part = TypeVar("Part")
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
-    """A parser for profiles, sensors, an output folder and a cluster.
-
-    Parameters
-    ----------
-    what : str
-        The study, for ``--help``.
-    sensors : str
-        The default sensors.
-    final : tuple of SensorName
-        The sensors that ``--final`` selects.
-    """
+    """A parser for profiles, sensors, an output folder and a cluster, with default and final sensors."""
     parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=list(NETWORKS), metavar="NAME")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
     which = parser.add_mutually_exclusive_group()
     named = f"[FAMILY:]SEED below {FINAL_SEED} or default ({sensors})"
     which.add_argument(
@@ -41,9 +38,15 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
     )
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
+    add_output(parser)
+    return parser
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add the options that `run` and `publish` need."""
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
     study.add_cluster(parser)
     parser.set_defaults(json=False)
-    return parser
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
@@ -69,23 +72,42 @@ def folder_for(parser: argparse.ArgumentParser, out: Path | None) -> Iterator[No
         parser.exit(1, f"{parser.prog}: {error}\n")
 
 
-def publish(
+def over_sensors(
+    job: Callable[[tuple[SensorName, Calibration, Part]], Sequence[Row]],
+    sensors: Sequence[SensorName],
+    parts: Sequence[Part],
+    pool: Workers,
+    report: Report,
+    *,
+    references: int = REFERENCES,
+    presses: int = PRESSES,
+) -> list[Row]:
+    """Calibrate the sensors, and do a job for each part (the longest first) on each of them; return the rows.
+
+    Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
+    """
+    found = calibrate_sensors(sensors, references, presses, pool, report)
+    tasks = [(name, made.calibration, part) for part in parts for name, made in zip(sensors, found, strict=True)]
+    return [row for rows in reported_map(job, tasks, pool, report, "parts of the study") for row in rows]
+
+
+def run(
+    parser: argparse.ArgumentParser,
     args: argparse.Namespace,
     stem: str,
-    table: str,
-    rows: Mapping[str, str],
-    draw: Callable[[], Mapping[str, bytes]] = dict,
+    work: Callable[[Workers, Report], Sequence[Row]],
+    text: Callable[[Sequence[Row]], str],
+    kinds: Mapping[str, type[Any]],
+    draw: Callable[[Sequence[Row]], Mapping[str, bytes]] | None = None,
 ) -> None:
-    """Print the table; write the table, its rows and its plots.
+    """Work on this machine or a cluster; print the table, write it, its rows and its plots.
 
-    Parameters
-    ----------
-    rows : mapping
-        Text of each CSV file by the part of its name after `stem`.
-    draw : callable
-        Returns the plots by file name; called only if plots are wanted and can be drawn.
+    `kinds` are the kinds of rows by the end of their CSV file's name; `draw` returns plots by the end of theirs.
     """
-    study.publish(args, stem, table, rows)
-    if study.will_draw(args, "the plots"):
-        for name, content in draw().items():
-            study.write(args.out / name, content)
+    with folder_for(parser, args.out), workers(args.cluster) as pool:
+        rows = work(pool, Progress())
+        files = {end: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for end, kind in kinds.items()}
+        study.publish(args, stem, text(rows), files)
+        if draw is not None and study.will_draw(args, "the plots"):
+            for end, content in draw(rows).items():
+                study.write(args.out / f"{stem}{end}.png", content)

@@ -43,9 +43,9 @@ from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, Shape, ball, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, Scene, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName
+from tacshade_edge.studies.evaluate.work import DEPTHS_MM, Scene, scenes
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.testbed.simulator.families import sensor_name

@@ -15,13 +15,7 @@ from tools.testbed.patience import patience
 
 
 class BridgeProcess:
-    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port; it ends with its ``with`` block.
-
-    Attributes
-    ----------
-    url : str
-        The address that it prints.
-    """
+    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port, at the `url` that it prints."""
 
     def __init__(self, kind: str, broker_port: int, log: Path, *words: str) -> None:
         self._command = [sys.executable, "-m", "tacshade_edge", "bridge", kind, "--listen", "127.0.0.1:0"]

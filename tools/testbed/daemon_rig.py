@@ -17,14 +17,7 @@ FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "Vm
 
 
 class RingSource:
-    """A `FrameSource` that cycles through images in memory; it drops late ones, as a camera does.
-
-    Parameters
-    ----------
-    path : Path
-        uint8 (N, H, W), as ``np.save`` writes it.
-    fps : float
-    """
+    """A `FrameSource` that cycles through images of a file, uint8 (N, H, W); it drops late ones, as a camera does."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self._images: U8 = np.asarray(np.load(path, mmap_mode="r"))  # mapped: its pages are counted separately

@@ -74,16 +74,8 @@ class Told:
 class PtyRobot:
     """A robot in its own thread.
 
-    Parameters
-    ----------
-    link : Path
-        Becomes a symbolic link to the pty's other end, also after `plug`.
-    rate_hz : float
-        Poses per second; 0 sends none.
-    poses : int or None
-        The number of poses to send before it continues without them; None: no limit.
-    where : callable
-        Like `motion`: the flange's pose at a time of `true_s`.
+    `link` becomes a symbolic link to the pty's other end, also after `plug`. The robot sends `rate_hz` poses per second
+    (0: none), but at most `poses`, and goes on without them; `where` is its pose at a time of `true_s`.
     """
 
     def __init__(

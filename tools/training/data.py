@@ -17,17 +17,10 @@ from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 
 @dataclass(slots=True, eq=False)
 class Data:
-    """Samples of one kind of sensors; `sensor` gives each frame's row in `reference` and `known`.
+    """Samples of one kind of sensors: S sensors, F frames; `sensor` (F,) gives each frame's row.
 
-    Attributes
-    ----------
-    reference, frame : Tensor uint8 (S or F, cells, cells)
-    known : Tensor float16 (S, 6, cells / fold, cells / fold)
-    height : Tensor float16 (F, cells, cells)
-    contact : Tensor uint8 (F, cells, cells)
-    shear : Tensor float16 (F, COARSE_CELLS, COARSE_CELLS, 2)
-    sensor : Tensor int64 (F,)
-    fold : int
+    uint8: `reference` (S, cells, cells), `frame` and `contact` (F, cells, cells); float16: `known` (S, 6, cells / fold,
+    cells / fold), `height` (F, cells, cells), `shear` (F, COARSE_CELLS, COARSE_CELLS, 2).
     """
 
     reference: Tensor

@@ -38,7 +38,7 @@ from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFEREN
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies import command
-from tools.studies.sigma.work import NOISE, presses, true_height_mm
+from tools.studies.sigma import NOISE, presses, true_height_mm
 from tools.testbed.simulator.families import sensor_name
 
 SENSORS = ("5", "11", "21", "50", "51", "52", "other:31", "other:32", "other:33", "other:34", "other:35", "other:36")
@@ -53,13 +53,7 @@ SMOOTH = (0.5, 0.2, 0.1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Cells of contacts on one sensor by one network.
-
-    Attributes
-    ----------
-    x : float32 (N, len(TERMS))
-    error_mm : float64 (N,)
-    """
+    """Cells of contacts on one sensor by one network: `x` (N, len(TERMS)), `error_mm` (N,)."""
 
     x: F32
     error_mm: F64

@@ -30,14 +30,9 @@ class Channels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tensor:
-    """A tensor of the integer graph: a value is its channel's scale times (code - `zero`).
+    """A tensor of the integer graph: a value is its channel's scale (C,) or (1,) times (code - `zero`).
 
-    Attributes
-    ----------
-    name : str
-    scale : float32 (C,) or (1,)
-    zero : int or None
-        An int for uint8 codes. None for float32, which the scale in the next weights multiplies.
+    `zero` is an int for uint8 codes, and None for float32, which the scale in the next weights multiplies.
     """
 
     name: str

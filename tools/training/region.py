@@ -24,8 +24,8 @@ from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
+from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, Bool, Frame
 from tools.training.network import COARSE_CELLS, Net, trained

@@ -66,20 +66,10 @@ OUTSIDE_FROM = 650_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Frames of one sensor as the network sees them.
+    """F frames of one sensor as the network sees them (N, N), and the geometry that calibration found.
 
-    Attributes
-    ----------
-    seen : Geometry
-        As calibration found it.
-    pitch_px : float
-    reference : uint8 (N, N)
-    frame : uint8 (F, N, N)
-    height : float16 (F, N, N)
-        h in disc radii; 0 outside the disc.
-    contact : bool (F, N, N)
-    shear : float16 (F, N / 2, N / 2, 2)
-        Shear along x and y in disc radii, at the middles of squares of 2x2 cells; 0 outside the disc.
+    `height` is h in disc radii, `shear` (F, N / 2, N / 2, 2) along x and y in disc radii at the middles of squares of
+    2x2 cells; both are 0 outside the disc.
     """
 
     seen: Geometry

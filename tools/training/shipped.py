@@ -17,13 +17,7 @@ WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:
     """Give a network the shipped weights, so that it computes the same as the shipped network.
 
-    Parameters
-    ----------
-    net : Net or ShearNet
-    name : str
-        Name of the weights.
-    inputs : list of Tensor
-        Frames as the network takes them, which determine each normalisation's mean and variance.
+    The inputs are frames as it takes them, which determine each normalisation's mean and variance.
     """
     frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
     named = {key.removeprefix("rest."): frame.pop(key) for key in list(frame) if key.startswith("rest.")}

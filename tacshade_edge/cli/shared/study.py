@@ -16,8 +16,8 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.own_images import images_in, read_images
-from tacshade_edge.studies.evaluate.scenes import Case
 from tacshade_edge.studies.evaluate.sensors import SensorName
+from tacshade_edge.studies.evaluate.work import Case
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import how_to_install
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from tacshade_edge.reasons import code_of
-from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, without_nan
+from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, summary, without_nan
 from tacshade_edge.types import F64, Reconstruction
 
 COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
@@ -87,30 +87,24 @@ def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -
     return [each for each in made if each is not None]
 
 
+COUNTS: dict[str, Callable[[Sequence[FoundRow]], str]] = {
+    "frames": lambda some: str(len(some)),
+    "refused": lambda some: str(sum(bool(row.refused) for row in some)),
+    "without contact": lambda some: str(sum(not row.refused and not row.contact for row in some)),
+    "saturated": lambda some: str(sum(row.saturated for row in some)),
+    "degraded": lambda some: str(sum(row.degraded for row in some)),
+}
+
+
 def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> str:
     """Tables for people: how many frames were refused, and how well the rest agree."""
-    counts = [
-        (
-            profile,
-            str(len(some)),
-            str(sum(bool(row.refused) for row in some)),
-            str(sum(not row.refused and not row.contact for row in some)),
-            str(sum(row.saturated for row in some)),
-            str(sum(row.degraded for row in some)),
-        )
-        for profile, some in grouped(rows, "profile").items()
-    ]
+    counts = summary(("profile",), [((name,), some) for name, some in grouped(rows, "profile").items()], COUNTS)
     figures = [
         (profile, each.quantity, str(each.frames), f"{each.rank_correlation:.2f}", f"{each.error:.2f}")
         for profile, some in made.items()
         for each in some
     ]
-    return "\n\n".join(
-        (
-            markdown(("profile", "frames", "refused", "without contact", "saturated", "degraded"), counts),
-            markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures),
-        )
-    )
+    return f"{counts}\n\n{markdown(('profile', 'quantity', 'frames', 'rank correlation', 'mean error'), figures)}"
 
 
 def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:

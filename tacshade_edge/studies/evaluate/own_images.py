@@ -15,10 +15,9 @@ from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.images import SUFFIXES, read_image
 from tacshade_edge.storage.npz import read_arrays
-from tacshade_edge.studies.evaluate.scenes import Case
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
-from tacshade_edge.studies.evaluate.work import Timing
+from tacshade_edge.studies.evaluate.work import Case, Timing
 from tacshade_edge.studies.parallel import Report
 from tacshade_edge.types import Calibration, Frame, Geometry
 

@@ -14,6 +14,7 @@ import numpy as np
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.sensors import family_of
 from tacshade_edge.studies.evaluate.work import Timing
 
 TABLE_I = {
@@ -114,73 +115,73 @@ def _mean(values: Iterable[float]) -> float:
 
 
 PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "onnxruntime", "scipy")
-MEASURES = ("ME mm", "back mm", "SD %", "SD sum %", "IoU", "depth off %", "worst %", "missed")
+MEASURES = {
+    "ME mm": ("me_mm", ".3f"),
+    "back mm": ("backward_mm", ".3f"),
+    "SD %": ("sd_pct", ".1f"),
+    "SD sum %": ("sd_sum_pct", ".1f"),
+    "IoU": ("iou", ".2f"),
+    "depth off %": ("depth_error_pct", ".0f"),
+    "worst %": ("depth_error_worst_pct", ".0f"),
+}
+"""Columns of a table: an attribute of `Figures`, and its format."""
 PAPER_ROW = "Table I (real sensor)"
 
 
 def table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
     """Markdown tables, readable as plain text too: objects, sensors and profiles, separately for each family."""
-    families: dict[str, list[Row]] = {}
-    for row in rows:
-        families.setdefault(row.sensor.rpartition(":")[0] or "tacshade", []).append(row)
+    families = tables.grouped(rows, lambda row: family_of(row.sensor))
     if len(families) < 2:
         return _family_table(rows, timings)
     return "\n\n".join(f"Family {family}\n\n{_family_table(some, timings)}" for family, some in families.items())
 
 
 def _family_table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
-    profiles = list(dict.fromkeys(r.profile for r in rows))
+    profiles = tables.grouped(rows, "profile")
     objects = list(dict.fromkeys(r.object for r in rows if r.true_points))
     blocks = (
         ("The paper's five objects", [o for o in objects if o in PAPER_OBJECTS]),
         ("Other objects", [o for o in objects if o not in PAPER_OBJECTS]),
     )
-    parts = [_objects_table(title, rows, profiles, names) for title, names in blocks if names]
+    parts = [_objects_table(title, profiles, names) for title, names in blocks if names]
     if objects:
-        parts.append(_sensors_table(rows, profiles))
-    parts.append(_profiles_table(rows, profiles, timings))
+        lines = [
+            [sensor, profile, *_cells(figures(r for r in of_sensor if r.profile == profile))]
+            for sensor, of_sensor in tables.grouped(rows, "sensor").items()
+            for profile in profiles
+        ]
+        parts.append(f"Each sensor, all objects\n\n{tables.markdown(['sensor', 'method', *MEASURES, 'missed'], lines)}")
+    parts.append(_profiles_table(profiles, timings))
     return "\n\n".join(parts)
 
 
-def _objects_table(title: str, rows: Sequence[Row], profiles: Sequence[str], names: Sequence[str]) -> str:
-    lines = []
-    per_profile = {p: by_object(r for r in rows if r.profile == p and r.object in names) for p in profiles}
+def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Sequence[str]) -> str:
+    some = {profile: [r for r in rows if r.object in names] for profile, rows in profiles.items()}
+    found = {profile: by_object(rows) for profile, rows in some.items()}
     paper = {name: TABLE_I[name] for name in names if name in TABLE_I}
+    lines = []
     for name in names:
         if name in paper:
             lines.append([name, PAPER_ROW, *_paper_cells(*paper[name])])
-        lines += [[name, p, *_cells(found[name])] for p, found in per_profile.items()]
+        lines += [[name, profile, *_cells(objects[name])] for profile, objects in found.items()]
     if len(names) > 1:
-        paper_mean = [sum(values) / len(values) for values in zip(*paper.values(), strict=True)]
-        paper_worst = [
-            pick(values) for pick, values in zip((max, min), zip(*paper.values(), strict=True), strict=False)
-        ]
-        for title_of_row, of_paper in (("mean", paper_mean), ("worst object", paper_worst)):
+        me_mm, sd_pct = zip(*paper.values(), strict=True) if paper else ((math.nan,), (math.nan,))
+        of_paper = {"mean": (_mean(me_mm), _mean(sd_pct)), "worst object": (max(me_mm), min(sd_pct))}
+        for what, values in of_paper.items():
             if len(paper) == len(names):
-                lines.append([title_of_row, PAPER_ROW, *_paper_cells(*of_paper)])
-            for p, found in per_profile.items():
-                some = [r for r in rows if r.profile == p and r.object in names]
-                total = figures(some) if title_of_row == "mean" else worst(list(found.values()))
-                lines.append([title_of_row, p, *_cells(total)])
-    return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES], lines)
+                lines.append([what, PAPER_ROW, *_paper_cells(*values)])
+            for profile, objects in found.items():
+                total = figures(some[profile]) if what == "mean" else worst(list(objects.values()))
+                lines.append([what, profile, *_cells(total)])
+    return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES, "missed"], lines)
 
 
-def _sensors_table(rows: Sequence[Row], profiles: Sequence[str]) -> str:
-    lines = [
-        [sensor, profile, *_cells(figures(r for r in of_sensor if r.profile == profile))]
-        for sensor, of_sensor in tables.grouped(rows, "sensor").items()
-        for profile in profiles
-    ]
-    return "Each sensor, all objects\n\n" + tables.markdown(["sensor", "method", *MEASURES], lines)
-
-
-def _profiles_table(rows: Sequence[Row], profiles: Sequence[str], timings: Mapping[str, Timing]) -> str:
+def _profiles_table(profiles: Mapping[str, Sequence[Row]], timings: Mapping[str, Timing]) -> str:
     header = [
         "method", "beats Table I in ME and SD", "frames without contact", "phantoms", "deepest mm", "refused", "p50 ms",
     ]  # fmt: skip
     lines = []
-    for profile in profiles:
-        some = [r for r in rows if r.profile == profile]
+    for profile, some in profiles.items():
         better, known = beats_table_i(by_object(some))
         nothing = null_figures(some)
         beats = f"{better} of {known}" if known else ""
@@ -191,16 +192,8 @@ def _profiles_table(rows: Sequence[Row], profiles: Sequence[str], timings: Mappi
 
 
 def _cells(found: Figures) -> list[str]:
-    values = (
-        (found.me_mm, ".3f"),
-        (found.backward_mm, ".3f"),
-        (found.sd_pct, ".1f"),
-        (found.sd_sum_pct, ".1f"),
-        (found.iou, ".2f"),
-        (found.depth_error_pct, ".0f"),
-        (found.depth_error_worst_pct, ".0f"),
-    )
-    return [*(tables.number(v, spec) for v, spec in values), f"{found.missed}/{found.presses}"]
+    measured = (tables.number(getattr(found, name), spec) for name, spec in MEASURES.values())
+    return [*measured, f"{found.missed}/{found.presses}"]
 
 
 def _paper_cells(me_mm: float, sd_pct: float) -> list[str]:

@@ -79,6 +79,11 @@ class SensorName:
         return _in_family, (self.family, self.seed, FAMILIES[self.family])
 
 
+def family_of(sensor: str) -> str:
+    """The family of a sensor, from its name's text."""
+    return sensor.rpartition(":")[0] or "tacshade"
+
+
 def _in_family(family: str, seed: int | None, make: Callable[[int | None], PressedSensor]) -> SensorName:
     FAMILIES.setdefault(family, make)
     return SensorName(family, seed)

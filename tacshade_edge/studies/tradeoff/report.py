@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -14,10 +14,6 @@ from tacshade_edge.studies.evaluate.report import versions
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tradeoff.measure import Estimate, Point
 
-_HEADER = (
-    "method", "what", "ME mm", "SD %", "IoU", "depth off %", "p50 ms", "p99 ms", "fps", "idle ms", "MiB", "missed",
-    "phantoms", "front",
-)  # fmt: skip
 _ESTIMATES = ("me_mm", "sd_pct", "iou", "depth_off_pct", "p50_ms", "p99_ms")
 
 
@@ -26,26 +22,25 @@ def table(points: Sequence[Point]) -> str:
     return f"{_settings(points)}\n\nStages of a frame in contact, p50 / p99 ms\n\n{_stages(points)}"
 
 
+_COLUMNS: dict[str, Callable[[Point], str]] = {
+    "ME mm": lambda p: _with_interval(p.me_mm, ".3f"),
+    "SD %": lambda p: _with_interval(p.sd_pct, ".1f"),
+    "IoU": lambda p: tables.number(p.iou.value, ".2f"),
+    "depth off %": lambda p: _with_interval(p.depth_off_pct, ".0f"),
+    "p50 ms": lambda p: _with_interval(p.p50_ms, ".2f"),
+    "p99 ms": lambda p: tables.number(p.p99_ms.value, ".2f"),
+    "fps": lambda p: tables.number(p.fps, ".0f"),
+    "idle ms": lambda p: tables.number(p.idle_p50_ms, ".2f"),
+    "MiB": lambda p: f"{p.peak_mib:.1f}",
+    "missed": lambda p: f"{p.missed}/{p.presses}",
+    "phantoms": lambda p: f"{p.phantoms}/{p.untouched}",
+    "front": lambda p: "yes" if p.front else "",
+}
+
+
 def _settings(points: Sequence[Point]) -> str:
-    lines = [
-        [
-            *_name(p),
-            _with_interval(p.me_mm, ".3f"),
-            _with_interval(p.sd_pct, ".1f"),
-            tables.number(p.iou.value, ".2f"),
-            _with_interval(p.depth_off_pct, ".0f"),
-            _with_interval(p.p50_ms, ".2f"),
-            tables.number(p.p99_ms.value, ".2f"),
-            tables.number(p.fps, ".0f"),
-            tables.number(p.idle_p50_ms, ".2f"),
-            f"{p.peak_mib:.1f}",
-            f"{p.missed}/{p.presses}",
-            f"{p.phantoms}/{p.untouched}",
-            "yes" if p.front else "",
-        ]
-        for p in points
-    ]
-    return tables.markdown(_HEADER, lines)
+    lines = [[*_name(point), *(cell(point) for cell in _COLUMNS.values())] for point in points]
+    return tables.markdown(["method", "what", *_COLUMNS], lines)
 
 
 def _stages(points: Sequence[Point]) -> str:
@@ -74,11 +69,7 @@ def record(point: Point) -> dict[str, Any]:
         "shipped": point.setting.shipped,
         **point.setting.fields,
         "whole_disc": point.setting.whole_disc,
-        "front": point.front,
-        "presses": point.presses,
-        "missed": point.missed,
-        "untouched": point.untouched,
-        "phantoms": point.phantoms,
+        **{name: getattr(point, name) for name in ("front", "presses", "missed", "untouched", "phantoms")},
     }
     for name in _ESTIMATES:
         estimate: Estimate = getattr(point, name)
@@ -225,34 +216,20 @@ def _scatter(
 
 def _mark(axes: Any, point: Point, colour: str) -> None:
     shipped = point.setting.shipped
-    axes.errorbar(
-        point.p50_ms.value,
-        point.me_mm.value,
-        xerr=_ends(point.p50_ms),
-        yerr=_ends(point.me_mm),
-        fmt="D" if shipped else "o",
-        markersize=10 if shipped else 5,
-        markeredgecolor="white" if shipped else colour,
-        color=colour,
-        alpha=1.0 if shipped else 0.65,
-        linewidth=0.8,
-        zorder=3 if shipped else 2,
-    )
+    style = {"fmt": "o", "markersize": 5, "markeredgecolor": colour, "alpha": 0.65, "zorder": 2}
     if shipped:
+        style = {"fmt": "D", "markersize": 10, "markeredgecolor": "white", "alpha": 1.0, "zorder": 3}
         _annotate(axes, point, point.setting.profile.name, colour, (8, 6))
+    ends = {"xerr": _ends(point.p50_ms), "yerr": _ends(point.me_mm)}
+    axes.errorbar(point.p50_ms.value, point.me_mm.value, **ends, **style, color=colour, linewidth=0.8)
 
 
 def _annotate(axes: Any, point: Point, text: str, colour: str, offset: tuple[int, int]) -> None:
-    large = point.setting.shipped
-    axes.annotate(
-        text,
-        (point.p50_ms.value, point.me_mm.value),
-        xytext=offset,
-        textcoords="offset points",
-        fontsize=10 if large else 7.5,
-        fontweight="bold" if large else "normal",
-        color=colour,
-    )
+    style = {"fontsize": 7.5, "color": colour}
+    if point.setting.shipped:
+        style |= {"fontsize": 10, "fontweight": "bold"}
+    at = (point.p50_ms.value, point.me_mm.value)
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **style)
 
 
 def _ends(estimate: Estimate) -> list[list[float]] | None:

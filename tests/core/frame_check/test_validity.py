@@ -31,7 +31,7 @@ from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.studies.evaluate.scenes import scenes
+from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.types import U8, Bool, Disc
 
 

@@ -21,13 +21,7 @@ POINT = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 
 class Ros(Protocol):
-    """The message types of a ROS installation.
-
-    Attributes
-    ----------
-    octets : callable
-        Converts bytes to the value of a ``uint8[]`` field.
-    """
+    """The message types of a ROS installation; `octets` converts bytes to the value of a ``uint8[]`` field."""
 
     @property
     def octets(self) -> Callable[[bytes], Any]:

@@ -66,18 +66,11 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: root mean square error of each quantity after `SETTLING_S`, and how the loop ran.
+    """One run: root mean square and greatest error of each quantity after `SETTLING_S`, and how the loop ran.
 
-    Attributes
-    ----------
-    labelled : bool
-        Whether the touch comes from a model learnt from labels, or else from height map and shear.
-    worst : mapping of str to float
-        Greatest error of each quantity.
-    touches_s, age_ms : float
-        Touches per second that the loop used, and their age at that moment.
-    lost : float
-        Share of the frames that the simulated camera was too slow to draw.
+    `labelled` tells a model learnt from labels from height map and shear. `touches_s` and `age_ms` are the touches per
+    second that the loop used, and their age then; `lost` is the share of frames that the simulated camera was too slow
+    to draw.
     """
 
     scene: str

@@ -11,14 +11,9 @@ INTEGRAL_PER_S2 = 4.0
 
 @dataclass(slots=True)
 class Loop:
-    """A limited proportional-integral controller, whose integral stays constant while the limit applies.
+    """A proportional-integral controller with a greatest velocity, in the error's unit per second.
 
-    Attributes
-    ----------
-    limit : float
-        Greatest velocity, in the error's unit per second.
-    held : float
-        The integral part of the velocity.
+    `held` is the integral part of the velocity, which stays constant while the limit applies.
     """
 
     limit: float

@@ -24,15 +24,7 @@ LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
 
 
 class FollowEdge:
-    """Computes the robot's velocity from a touch.
-
-    Parameters
-    ----------
-    depth_mm : float
-        Depth to keep.
-    speed_mm_s : float
-        Speed along the sensor's x.
-    """
+    """Computes the robot's velocity from a touch: it keeps a depth, at a speed along the sensor's x."""
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
         self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s

@@ -17,13 +17,7 @@ STANDSTILL = (0.0,) * 6
 
 
 class Robot:
-    """Moves as long as `move` is called, and stops `STOP_S` after the last call or at the end of the context.
-
-    Parameters
-    ----------
-    address : str
-        ``HOST:PORT``.
-    """
+    """At ``HOST:PORT``; moves as long as `move` is called, and stops `STOP_S` after the last call or at the end."""
 
     def __init__(self, address: str) -> None:
         host, _, port = address.rpartition(":")

@@ -4,19 +4,17 @@
 
     .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40 [--fit]]
 
-FOLDER contains the solved mechanics (states.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
-with ``--presses``, on presses (presses.py), to which ``--fit`` fits the networks. ``--out`` writes a row for each frame
+FOLDER contains the solved mechanics (solve.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
+with ``--presses``, on presses, to which ``--fit`` fits the networks. ``--out`` writes a row for each frame
 and profile to third-family.csv; ``--pictures`` writes PNG frames.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import dataclasses
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,13 +32,21 @@ from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.simulator.truth import Truth, shear_mm, skin_points
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import REFERENCE_NOISE, REFERENCES, SCENE_NOISE, reconstructor
+from tacshade_edge.studies.tables import csv_text, grouped, summary
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
-from tools.studies.third_family.dome import FIRST_SEED, RANGES, drawn
-from tools.studies.third_family.paths import Way, ways
-from tools.studies.third_family.presses import kept_file as press_file
-from tools.studies.third_family.presses import known_presses
-from tools.studies.third_family.seen import deformed, renderer, seen_truth
-from tools.studies.third_family.states import kept_file, read
+from tools.studies.third_family.domes import (
+    FIRST_SEED,
+    RANGES,
+    Kept,
+    Way,
+    deformed,
+    drawn,
+    kept_file,
+    known_presses,
+    renderer,
+    seen_truth,
+    ways,
+)
 
 PROFILES = ("accurate", "balanced", "fast")
 LEAST_TRUE_CELLS = 30
@@ -61,22 +67,7 @@ class Pictured:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One frame, judged with one profile; each attribute is a column of third-family.csv, empty for NaN.
-
-    Attributes
-    ----------
-    profile, sensor, object : str
-    dragged : bool
-    drag_mm, true_depth_mm, found_depth_mm : float
-    refused : str
-        Why the frame was refused, or empty.
-    me_mm, sd_pct : float
-        Eqs. 13 and 14.
-    shear_error_mm : float
-        Median distance between found and true shear over the cells found in contact.
-    cells, covered : int
-        Number of cells found in contact, and of those whose 90 % interval holds the true height.
-    """
+    """One frame, judged with one profile; each attribute is a column of third-family.csv, empty for NaN."""
 
     profile: str
     sensor: str
@@ -85,11 +76,11 @@ class Judged:
     drag_mm: float
     true_depth_mm: float
     found_depth_mm: float
-    refused: str
-    me_mm: float
+    refused: str  # why the frame was refused, or empty
+    me_mm: float  # eqs. 13 and 14
     sd_pct: float
-    shear_error_mm: float
-    cells: int
+    shear_error_mm: float  # median distance between found and true shear over the cells found in contact
+    cells: int  # found in contact, and those of them whose 90 % interval holds the true height
     covered: int
 
 
@@ -98,7 +89,7 @@ def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iter
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     for k, way in enumerate(ways(dome, FIRST_SEED[range_name] + sensor, way_count)):
-        kept = read(kept_file(folder, range_name, sensor, k))
+        kept = Kept.read(kept_file(folder, range_name, sensor, "", k))
         ends = (way.pressed(dome.radius_mm), kept.pressed_mm), (way.press, kept.dragged_mm)
         for dragged, (press, at_mm) in enumerate(ends):
             skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
@@ -157,30 +148,35 @@ def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged
     )
 
 
-def table(rows: list[Judged]) -> str:
-    """Write a table with a line for each profile, pressed and dragged."""
-    lines = [
-        "| skin | profile | frames | refused | missed | ME mm | SD % | depth off % | shear off mm "
-        "| in the 90 % interval % |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
-    for dragged in (False, True):
-        for profile in PROFILES:
-            mine = [row for row in rows if row.profile == profile and row.dragged == dragged]
-            if not mine:
-                continue
-            taken = [row for row in mine if not row.refused]
-            found = [row for row in taken if row.cells]
-            off = [100 * abs(row.found_depth_mm / row.true_depth_mm - 1) for row in found]
-            cells = sum(row.cells for row in found)
-            lines.append(
-                f"| {'dragged' if dragged else 'pressed'} | {profile} | {len(mine)} | {len(mine) - len(taken)} "
-                f"| {len(taken) - len(found)} | {np.mean([row.me_mm for row in found]):.3f} "
-                f"| {np.mean([row.sd_pct for row in taken]):.1f} | {np.median(off):.0f} "
-                f"| {np.nanmedian([row.shear_error_mm for row in found]):.2f} "
-                f"| {100 * sum(row.covered for row in found) / max(cells, 1):.1f} |"
-            )
-    return "\n".join(lines)
+def _found(some: Sequence[Judged]) -> list[Judged]:
+    return [row for row in some if not row.refused and row.cells]
+
+
+def _depth_off_pct(row: Judged) -> float:
+    return 100 * abs(row.found_depth_mm / row.true_depth_mm - 1)
+
+
+def _covered_pct(some: Sequence[Judged]) -> float:
+    return 100 * sum(row.covered for row in some) / max(sum(row.cells for row in some), 1)
+
+
+FIGURES: dict[str, Callable[[Sequence[Judged]], str]] = {
+    "frames": lambda some: str(len(some)),
+    "refused": lambda some: str(sum(bool(row.refused) for row in some)),
+    "missed": lambda some: str(sum(not row.refused and not row.cells for row in some)),
+    "ME mm": lambda some: f"{np.mean([row.me_mm for row in _found(some)]):.3f}",
+    "SD %": lambda some: f"{np.mean([row.sd_pct for row in some if not row.refused]):.1f}",
+    "depth off %": lambda some: f"{np.median([_depth_off_pct(row) for row in _found(some)]):.0f}",
+    "shear off mm": lambda some: f"{np.nanmedian([row.shear_error_mm for row in _found(some)]):.2f}",
+    "in the 90 % interval %": lambda some: f"{_covered_pct(_found(some)):.1f}",
+}
+
+
+def table(rows: Sequence[Judged]) -> str:
+    """A line for each profile, pressed and dragged."""
+    groups = grouped(sorted(rows, key=lambda row: (row.dragged, row.profile)), lambda row: (row.dragged, row.profile))
+    lines = [(("dragged" if dragged else "pressed", profile), some) for (dragged, profile), some in groups.items()]
+    return summary(("skin", "profile"), lines, FIGURES)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -189,7 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--range", choices=RANGES, default="working")
     parser.add_argument("--sensors", type=int, default=6)
     parser.add_argument("--ways", type=int, default=6)
-    parser.add_argument("--states", type=Path, required=True, help="what states.py wrote")
+    parser.add_argument("--states", type=Path, required=True, help="what solve.py wrote")
     parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
     parser.add_argument("--fit", action="store_true", help="the networks to these presses")
     parser.add_argument("--out", type=Path)
@@ -197,12 +193,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.fit and not options.presses:
         parser.error("--fit needs --presses")
-    for solver, files, count in (("states", kept_file, options.ways), ("presses", press_file, options.presses)):
-        paths = [files(options.states, options.range, s, k) for s in range(options.sensors) for k in range(count)]
-        if missing := [path for path in paths if not path.exists()]:
-            count = len(missing)
-            print(f"{missing[0]} is missing ({count} of these): solve them first with {solver}.py", file=sys.stderr)
-            return 1
+    wanted = (("", options.ways), ("press", options.presses))
+    own = ((sensor, what, k) for sensor in range(options.sensors) for what, count in wanted for k in range(count))
+    if missing := [path for at in own if not (path := kept_file(options.states, options.range, *at)).exists()]:
+        print(f"{missing[0]} is missing ({len(missing)} of these): solve them first with solve.py", file=sys.stderr)
+        return 1
     rows: list[Judged] = []
     for sensor in range(options.sensors):
         model, _ = drawn(options.range, sensor)
@@ -221,13 +216,7 @@ def main(arguments: list[str] | None = None) -> int:
                 rows += [judged(each, model, solver.step(Frame(0, 0, 0, each.image))) for solver in made]
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        with (options.out / "third-family.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [field.name for field in dataclasses.fields(Judged)])
-            writer.writeheader()
-            writer.writerows(
-                {k: "" if isinstance(v, float) and math.isnan(v) else v for k, v in dataclasses.asdict(row).items()}
-                for row in rows
-            )
+        (options.out / "third-family.csv").write_text(csv_text(Judged, rows), encoding="utf-8")
     print(table(rows))
     return 0
 

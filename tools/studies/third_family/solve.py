@@ -1,22 +1,47 @@
-"""The mechanics: MuJoCo's tetrahedra under a rigid object with friction, in steps so long that inertia plays no role.
+"""The mechanics: solve the missing paths of a range's sensors, which is slow, and store a file for each.
 
-The object is a heavy body with a prescribed velocity. Every point of the skin's outside carries a small ball that can
-touch the object, so contact is between points and a rigid surface and follows Coulomb's law. A step of MuJoCo's
-`discrete` integrator is one Newton step of the static problem, with implicit elasticity and contact.
+::
+
+    nice PYTHON -m tools.studies.third_family.solve --states FOLDER [--range working] [--sensors 6] [--ways 6]
+        [--presses 40] [--touch]
+
+PYTHON must have MuJoCo (requirements.txt). The object is a heavy body with a prescribed velocity. Every point of the
+skin's outside carries a small ball that can touch the object, so contact is between points and a rigid surface and
+follows Coulomb's law. A step of MuJoCo's `discrete` integrator is one Newton step of the static problem, with implicit
+elasticity and contact; steps are so long that inertia plays no role. Skin and gel are layers of tetrahedra over one
+triangulation of the sphere, fine at the tip and coarse at the rim.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial import Delaunay
 
+from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.types import F64
-from tools.studies.third_family.dome import Dome, Mesh, meshed, volumes
-from tools.studies.third_family.paths import ROUNDING_MM, SOLIDS, Way
+from tacshade_edge.types import F64, I64, Bool
+from tools.studies.third_family import touch
+from tools.studies.third_family.domes import (
+    FIRST_SEED,
+    RANGES,
+    ROUNDING_MM,
+    SOLIDS,
+    Dome,
+    Kept,
+    Way,
+    drawn,
+    kept_file,
+    known_ways,
+    ways,
+)
 
 EDGE_MM = 1.3
 """Edge length of the mesh at the tip, on a skin of 20 mm."""
@@ -25,20 +50,87 @@ APPROACH_MM, DRAG_MM, TWIST_DEG, SETTLING = 0.35, 0.2, 1.5, 12
 
 _DENSITY = 5e-3  # m / dt²; contact is 10,000 times as stiff, so this makes it stiff compared with the gel
 _DAMPING = 3.0
+FINE_DEG = 26.0
+"""Up to this angle from the tip, the mesh has its shortest edges; beyond, they grow towards the rim."""
+
+COARSER = 3.0
+"""Edges at the rim are longer by this multiple of the edges at the tip."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Tetrahedra of a dome at rest."""
+
+    points_mm: F64  # (N, 3) in the sensor frame; the first `surface` ones are the skin's outside
+    surface: int
+    skin: I64  # (M, 4) corners of the tetrahedra, right-handed
+    gel: I64
+    clamped: Bool  # (N,) at the rim or on the core
+
+
+def meshed(dome: Dome, edge_mm: float, gel_layers: int = 3) -> Mesh:
+    """Fill a dome with tetrahedra whose edges at the tip have about the given length."""
+    direction, triangles = cap(dome.radius_mm, edge_mm)
+    count = len(direction)
+    depths = np.linspace(0, 1, gel_layers + 1) ** 1.15 * dome.gel_part * dome.radius_mm + dome.skin_mm
+    radii = dome.radius_mm - np.concatenate(((0.0,), depths))
+    points = np.concatenate([direction * radius for radius in radii])
+    rim = direction[:, 2] < math.cos(math.radians(RIM_HALF_ANGLE_DEG)) + 1e-9
+    clamped = np.tile(rim, len(radii))
+    clamped[-count:] = True
+    layers = [_righted(points, _layer(triangles, count, k)) for k in range(len(radii) - 1)]
+    return Mesh(points, count, layers[0], np.concatenate(layers[1:]), clamped)
+
+
+def cap(radius_mm: float, edge_mm: float) -> tuple[F64, I64]:
+    """Make unit vectors (N, 3) in rings from the tip to the rim, and triangles (M, 3) between them."""
+    rim = math.radians(RIM_HALF_ANGLE_DEG)
+    fine = math.radians(FINE_DEG)
+    points, angle, ring = [(0.0, 0.0, 1.0)], 0.0, 0
+    while angle < rim:
+        edge = edge_mm * (1 + COARSER * max(0.0, (angle - fine) / (rim - fine)))
+        angle += 0.87 * edge / radius_mm
+        if angle > rim - 0.4 * edge / radius_mm:
+            angle = rim
+        ring += 1
+        count = max(6, round(2 * math.pi * math.sin(angle) * radius_mm / edge))
+        around = 2 * math.pi * np.arange(count) / count + 0.5 * ring
+        points += [(math.sin(angle) * math.cos(a), math.sin(angle) * math.sin(a), math.cos(angle)) for a in around]
+    direction = np.array(points)
+    return direction, Delaunay(direction[:, :2] / (1 + direction[:, 2:])).simplices.astype(np.int64)
+
+
+def volumes(points_mm: F64, corners: I64) -> F64:
+    """Compute the signed volumes (M,) of tetrahedra in mm³."""
+    p = points_mm[corners]
+    a, b, c = (p[:, k] - p[:, 0] for k in (1, 2, 3))
+    return np.asarray(np.einsum("ij,ij->i", np.cross(a, b), c) / 6)
+
+
+def _layer(triangles: I64, count: int, outer: int) -> I64:
+    """Cut the prisms between two layers into tetrahedra; sorted corners make the cuts of neighbours agree."""
+    a, b, c = (np.sort(triangles, axis=1) + outer * count).T
+    below = count
+    return np.concatenate(
+        [np.stack(corners, axis=1) for corners in (
+            (a, b, c, c + below), (a, b, b + below, c + below), (a, a + below, b + below, c + below)
+        )]
+    )  # fmt: skip
+
+
+def _righted(points: F64, corners: I64) -> I64:
+    left = volumes(points, corners) < 0
+    corners = corners.copy()
+    corners[left] = corners[left][:, (1, 0, 2, 3)]
+    return corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """The skin's outside under an object.
+    """The skin's outside (N, 3) under an object.
 
-    Attributes
-    ----------
-    at_mm : float64 (N, 3)
-        Positions of its points.
-    penetration_mm : float
-        How deep the deepest point lies inside the object.
-    stirring_mm : float
-        Greatest motion in the last step of rest.
+    `penetration_mm` is how deep its deepest point lies inside the object, `stirring_mm` the greatest motion in the last
+    step of rest.
     """
 
     at_mm: F64
@@ -46,22 +138,10 @@ class State:
     stirring_mm: float
 
 
-def solved(dome: Dome, way: Way, edge_mm: float = EDGE_MM, gel_layers: int = 3) -> tuple[F64, State, State]:
-    """Press and drag an object.
-
-    Returns
-    -------
-    rest_mm : float64 (N, 3)
-        The skin's points at rest.
-    pressed, dragged : State
-
-    Raises
-    ------
-    RuntimeError
-        MuJoCo warned of a bad state.
-    """
+def solved(dome: Dome, way: Way) -> Kept:
+    """Press and drag an object. Raises RuntimeError (MuJoCo warned of a bad state)."""
     mujoco.set_mju_user_warning(lambda _: None)  # MuJoCo would write a file here; `_moved` checks its counts
-    mesh = meshed(dome, edge_mm * dome.radius_mm / 20, gel_layers)
+    mesh = meshed(dome, EDGE_MM * dome.radius_mm / 20)
     model = mujoco.MjModel.from_xml_string(_xml(dome, mesh, way))
     data = mujoco.MjData(model)
     press = way.press
@@ -74,7 +154,11 @@ def solved(dome: Dome, way: Way, edge_mm: float = EDGE_MM, gel_layers: int = 3) 
     pressed = _moved(model, data, touch, steps, mesh)
     steps = math.ceil(max(math.hypot(press.drag_x_mm, press.drag_y_mm) / DRAG_MM, abs(press.twist_deg) / TWIST_DEG))
     dragged = _moved(model, data, end, steps, mesh) if steps else pressed
-    return mesh.points_mm[: mesh.surface], pressed, dragged
+    return Kept(
+        mesh.points_mm[: mesh.surface], pressed.at_mm, dragged.at_mm,
+        np.array((pressed.penetration_mm, dragged.penetration_mm)),
+        np.array((pressed.stirring_mm, dragged.stirring_mm)),
+    )  # fmt: skip
 
 
 def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh: Mesh) -> State:
@@ -165,3 +249,40 @@ def _flex(name: str, corners: np.typing.NDArray[np.int64], young: float, poisson
 
 def _text(numbers: F64) -> str:
     return " ".join(f"{number:.9g}" for number in numbers)
+
+
+def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
+    """The paths that are wanted, and where each is kept."""
+    for sensor in range(options.sensors):
+        _, dome = drawn(options.range, sensor)
+        seed = FIRST_SEED[options.range] + sensor
+        wanted = {"": ways(dome, seed, options.ways), "press": known_ways(dome, seed, options.presses)}
+        for what, paths in wanted.items():
+            for k, way in enumerate(paths):
+                yield kept_file(options.states, options.range, sensor, what, k), dome, way
+    if options.touch:
+        _, dome = drawn(touch.RANGE, touch.SENSOR)
+        for k, (way, _) in enumerate(touch.ways(dome)):
+            yield touch.file_of(options.states, k), dome, way
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Solve the missing paths of a range."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--range", choices=RANGES, default="working")
+    parser.add_argument("--sensors", type=int, default=6)
+    parser.add_argument("--ways", type=int, default=6, help="objects on each sensor, two states each")
+    parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
+    parser.add_argument("--touch", action="store_true", help="the paths of touch.py too")
+    parser.add_argument("--states", type=Path, required=True, help="existing files stay as they are")
+    options = parser.parse_args(arguments)
+    options.states.mkdir(parents=True, exist_ok=True)
+    for path, dome, way in jobs(options):
+        if not path.exists():
+            solved(dome, way).write(path)
+            print(f"{path.name}: {way.object_name}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

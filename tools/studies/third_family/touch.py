@@ -2,7 +2,7 @@
 
 ::
 
-    nice ENGINE/bin/python -m tools.studies.third_family.touch --solve --states STATES
+    nice ENGINE/bin/python -m tools.studies.third_family.solve --sensors 0 --touch --states STATES
     .venv/bin/python -m tools.studies.third_family.touch --states STATES
 
 The first command needs MuJoCo (requirements.txt) and is slow; existing files in STATES stay as they are. Both states of
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -31,11 +30,18 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import SCENE_NOISE
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, Frame, Need
-from tools.studies.third_family.dome import FIRST_SEED, Dome, drawn
+from tools.studies.third_family.domes import (
+    FIRST_SEED,
+    Dome,
+    Kept,
+    Way,
+    deepest_mm,
+    deformed,
+    drawn,
+    plate_depth_mm,
+    renderer,
+)
 from tools.studies.third_family.evaluate import calibrated
-from tools.studies.third_family.paths import Way, deepest_mm, plate_depth_mm
-from tools.studies.third_family.seen import deformed, renderer
-from tools.studies.third_family.states import Kept, keep, read
 
 RANGE, SENSOR = "working", 0
 COUNTS = {"plate": 75, "ball": 10, "bar": 10}
@@ -65,21 +71,9 @@ def ways(dome: Dome) -> list[tuple[Way, float]]:
     return made
 
 
-def kept_file(folder: Path, way: int) -> Path:
-    """Return the file of a path's states."""
+def file_of(folder: Path, way: int) -> Path:
+    """The file of a path's states."""
     return folder / f"touch-{RANGE}-{SENSOR}-{way}.npz"
-
-
-def solve_all(folder: Path) -> None:
-    """Solve the missing paths."""
-    from tools.studies.third_family.solve import solved
-
-    folder.mkdir(parents=True, exist_ok=True)
-    _, dome = drawn(RANGE, SENSOR)
-    for k, (way, _) in enumerate(ways(dome)):
-        if not (path := kept_file(folder, k)).exists():
-            keep(path, *solved(dome, way))
-            print(f"way {k}: {way.object_name}", flush=True)
 
 
 def label(way: Way, pressed_mm: float, dragged: bool) -> tuple[float, ...]:
@@ -99,7 +93,7 @@ def seen(folder: Path, profile: str) -> tuple[list[str], F32, F32, F64, F64]:
     made = Reconstructor(calibrated(RANGE, SENSOR), chosen, load_network(chosen.network), touch=taken)
     objects, imprints, labels, plain = [], [], [], []
     for k, (way, pressed_mm) in enumerate(ways(dome)):
-        kept: Kept = read(kept_file(folder, k))
+        kept = Kept.read(file_of(folder, k))
         for dragged, at_mm in enumerate((kept.pressed_mm, kept.dragged_mm)):
             skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
             image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
@@ -151,16 +145,12 @@ def report(folder: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Solve the paths with ``--solve``, otherwise judge."""
+    """Judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--states", type=Path, required=True)
-    parser.add_argument("--solve", action="store_true")
     options = parser.parse_args(arguments)
-    if options.solve:
-        solve_all(options.states)
-        return 0
-    if not all(os.path.exists(kept_file(options.states, k)) for k in range(sum(COUNTS.values()))):
-        print(f"{options.states}: not every way is solved: run with --solve first", file=sys.stderr)
+    if not all(file_of(options.states, k).exists() for k in range(sum(COUNTS.values()))):
+        print(f"{options.states}: not every way is solved: run solve.py --touch first", file=sys.stderr)
         return 1
     report(options.states)
     return 0

@@ -56,13 +56,7 @@ class PlaneSkins:
 
 
 class EdgeSkins:
-    """Skins under the straight edge of a plate at right angles to the sensor's axis.
-
-    Parameters
-    ----------
-    kept : Path
-        File for the table, which takes about 10 s to make.
-    """
+    """Skins under a plate's straight edge at right angles to the sensor's axis; a file keeps their table (10 s)."""
 
     def __init__(self, kept: Path) -> None:
         if not kept.exists():

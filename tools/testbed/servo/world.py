@@ -111,15 +111,9 @@ def scene(name: str, kept: Path) -> Scene:
 
 
 class LateRobot:
-    """Obeys commands after a delay, with a velocity that follows with the time constant `LAG_S`.
+    """Obeys commands `delay_s` after they arrive, with a velocity that follows with the time constant `LAG_S`.
 
-    Parameters
-    ----------
-    pose : Rigid
-        ``base_T_sensor`` at `now_s`.
-    delay_s : float
-        Time from a command's arrival to its first effect.
-    now_s : float
+    `pose` is ``base_T_sensor`` at `now_s`.
     """
 
     def __init__(self, pose: Rigid, delay_s: float, now_s: float) -> None:

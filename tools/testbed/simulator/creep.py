@@ -28,20 +28,10 @@ _INVERSE_STEPS = 24
 
 
 def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float) -> F64:
-    """Compute the weights of a history's knots: e(t) is the weighted sum of u at the knots.
+    """Compute the weights (K,) of a history's knots: e(t) is the weighted sum of u at the knots; `creep_part` is c.
 
-    Parameters
-    ----------
-    times_s : sequence of float (K,)
-        Increasing times of the knots. u is linear between two knots, and 0 before the first and after the last.
-    t_s : float
-    creep_part, creep_s : float
-        c and τ.
-
-    Returns
-    -------
-    float64 (K,)
-        At least 0; their sum is at most `creep_part`.
+    u is linear between two knots, and 0 before the first and after the last. Weights are at least 0, and their sum is
+    at most `creep_part`.
     """
     times, weights = np.asarray(times_s, np.float64), np.zeros(len(times_s))
     begin = times[:-1][times[:-1] < t_s]
@@ -58,11 +48,7 @@ def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float
 class Imprint:
     """The skin's immediate deformation under a load, which the material remembers.
 
-    Attributes
-    ----------
-    skin : Skin
-    pressed_mm : float32 (2n+1, 2n+1)
-        The h that objects cause, at the places where the material was without drag.
+    `pressed_mm` (2n+1, 2n+1) is the h that objects cause, at the places where the material was without drag.
     """
 
     skin: Skin
@@ -82,16 +68,9 @@ def imprint(skin: Skin) -> Imprint:
 
 
 def rest(imprints: Sequence[Imprint], weights: Sequence[float], radius_mm: float, origin_mm: F32 | None) -> Skin:
-    """Compute the shape without forces, which is e at every node.
+    """Compute the shape without forces, which is e at every node, from weights of `kept`.
 
-    Parameters
-    ----------
-    imprints : sequence of Imprint
-    weights : sequence of float
-        The imprints' weights from `kept`.
-    radius_mm : float
-    origin_mm : float32 (2n+1, 2n+1, 2) or None
-        The present `Skin.origin_mm`, by which the material moves its dent.
+    `origin_mm` is the present `Skin.origin_mm`, by which the material moves its dent.
     """
     flat = undeformed(radius_mm)
     pressed, leaning = np.zeros_like(flat.height_mm), np.zeros_like(flat.height_mm)

@@ -30,16 +30,7 @@ class DrawnSensor(FingerSensor, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandFrame:
-    """Pictures of all fingers, taken at the same time.
-
-    Attributes
-    ----------
-    t_s : float
-    images : tuple of uint8 (H, W, 3)
-        Each finger's picture, BGR.
-    skins : tuple of Skin
-    truth : HandTruth
-    """
+    """Pictures of all fingers (BGR), taken at the same time."""
 
     t_s: float
     images: tuple[U8, ...]
@@ -56,23 +47,10 @@ def hand_frames(
     seed: int = 0,
     names: Sequence[str] = ("thumb", "index", "middle", "ring", "little"),
 ) -> Iterator[HandFrame]:
-    """Take pictures from the first knot of a script to its last. The same seed gives the same frames.
+    """Take pictures from the first knot of a script to its last. The same seed of the noise gives the same frames.
 
-    Parameters
-    ----------
-    sensors : sequence of DrawnSensor
-        A separate sensor for each finger, so that each draws a resting skin only once.
-    hand_T_sensors : sequence of Rigid
-        Pose of each sensor.
-    body : Shape
-        A shape from `simulator.hand.bodies`.
-    script : HandScript
-    fps : float
-        Up to 60, the steps are `STEP_S` or shorter; above, there is one step per frame.
-    seed : int
-        Seed of the noise.
-    names : sequence of str
-        Names of the fingers, at least as many as sensors.
+    Each finger has a sensor of its own, so that each draws a resting skin only once. Up to 60 fps, the steps are
+    `STEP_S` or shorter; above, there is one step per frame.
     """
     fingers = [Finger(*each) for each in zip(names, hand_T_sensors, sensors, strict=False)]
     steps = max(1, math.ceil(1 / (fps * STEP_S) - 1e-9))

@@ -22,13 +22,7 @@ _NUMBERS = tuple(field.name for field in fields(Press) if field.name != "shape")
 class Motion:
     """The knots of an object's path, which is linear between two knots; before and after, the object is absent.
 
-    Attributes
-    ----------
-    times_s : tuple of float
-        Increasing times of the knots.
-    presses : tuple of Press
-        Presses of one shape at the knots. `depth_mm` is the immediate depth under the load; into a creeping skin, the
-        object sinks further.
+    Presses are of one shape; `depth_mm` is the immediate depth under the load: into a creeping skin, it sinks further.
     """
 
     times_s: tuple[float, ...]

@@ -30,23 +30,11 @@ _SPEED_SPAN_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class ObjectState:
-    """The state of an object at one time.
+    """The state of an object at one time; `press` is None while it is absent.
 
-    Attributes
-    ----------
-    press : Press or None
-        Its place, drag and twist; None while the object is absent.
-    touches : bool
-    velocity_mm_s : (float, float, float)
-        Velocity of its lowest point along the sensor's x, y, z, without creep.
-    turn_deg_s : float
-        Turn about z, from x towards y.
-    stuck : float
-        Part of its contact in which the skin moves with it; 1 without a contact.
-    slip : Slip or None
-        Slip by `stuck`; full if the whole contact slides, or slid and then came to rest; None without a contact.
-    slip_mm_s : float
-        Speed relative to the skin under it, averaged over its contact.
+    The velocity is that of its lowest point along the sensor's axes, without creep; the turn is about z, from x towards
+    y. `stuck` is the part of its contact in which the skin moves with it (1 without a contact); `slip` is full if the
+    whole contact slides, or slid and then came to rest; `slip_mm_s` is relative to the skin, averaged over the contact.
     """
 
     press: Press | None
@@ -62,16 +50,8 @@ class ObjectState:
 class _Moment:
     """Everything that determines the skin's shape; equal moments have equal skins.
 
-    Attributes
-    ----------
-    loads : tuple of Press
-        The present objects at their depths without creep.
-    presses : tuple of Press
-        The same objects at their depths with creep.
-    owners : tuple of int
-        Index of each object's motion.
-    memory : tuple of (tuple of Press, float)
-        Earlier loads, and the part of each that remains.
+    `loads` and `presses` are the present objects at their depths without and with creep, of the motions `owners`;
+    `memory` are earlier loads, and the part of each that remains.
     """
 
     loads: tuple[Press, ...]
@@ -81,16 +61,7 @@ class _Moment:
 
 
 class MovingScene:
-    """Objects on a sensor, over time. The same time and noise seed give the same frame, bit for bit.
-
-    Parameters
-    ----------
-    motions : sequence of Motion
-        One motion for each object.
-    model : SensorModel, optional
-    light : SlowLight, optional
-        By default, the light is constant.
-    """
+    """Objects on a sensor, over time; the light may change. Equal time and noise seed give equal frames."""
 
     def __init__(
         self, motions: Sequence[Motion], model: SensorModel | None = None, light: SlowLight | None = None
@@ -118,13 +89,7 @@ class MovingScene:
         return self._skin(self._moment(t_s))
 
     def frame(self, t_s: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture.
-
-        Raises
-        ------
-        ValueError
-            A press is not over the skin, or reaches the middle of the sensor.
-        """
+        """Take a picture. Raises ValueError: a press is not over the skin, or reaches the sensor's middle."""
         moment = self._moment(t_s)
         image = self._renderer.expose(self._drawn(moment), noise_seed)
         if self._light is not None:

@@ -19,14 +19,7 @@ from tacshade_edge.types import F32, U8
 
 
 class OtherSensor:
-    """A `SimulatedSensor` of the other model, or of the usual model with some of the other's features.
-
-    Parameters
-    ----------
-    model : SensorModel
-    square, capped, two_scales : bool
-        Whether the lattice, the pins and the skin are the other model's.
-    """
+    """A `SimulatedSensor` of the other model, or of the usual model with the other's lattice, pins or skin."""
 
     def __init__(self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True) -> None:
         self.model = model

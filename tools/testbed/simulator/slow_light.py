@@ -14,15 +14,9 @@ from tacshade_edge.types import U8
 class SlowLight:
     """The light of a sensor over time.
 
-    Attributes
-    ----------
-    warm_up_s : float
-        Time constant of warming under constant heat with Newton's law of cooling; the part reached at time t is
-        1 - exp(-t / warm_up_s).
-    l70_h : float
-        Hours after which an LED gives 70 % of its light, which decays exponentially, as in IES TM-21.
-    on_for_s, burnt_h : float
-        At time 0, how long the sensor has been on, and how long the LEDs have burned in total.
+    `warm_up_s` is Newton's time constant of warming, and `l70_h` the hours after which an LED gives 70 % of its light,
+    which decays exponentially, as in IES TM-21. At time 0, the sensor has been on for `on_for_s`, and the LEDs have
+    burned for `burnt_h` in total.
     """
 
     warm_up_s: float = 600.0

@@ -1,0 +1,169 @@
+"""A map judged by a known surface, the paper's average and the picture of both."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator import pad as pads
+from tacshade_edge.simulator.pad import Arc, Bar, Pad
+from tacshade_edge.studies.stitch.truth import KnownSurface, comparison, radius_average, read_known, score
+
+BAR, RING = Bar(5.1, 3.1, 5.1, 23.1, 3.0), Arc(20.1, 13.1, 7.0, 3.0)
+
+
+def raster(*bulges: Bar | Arc, step_mm: float = 0.25) -> Raster:
+    return Raster(pads.raster(Pad(32.0, 26.0, bulges), step_mm), 0.0, 0.0, step_mm)
+
+
+KNOWN = KnownSurface(raster(BAR, RING), np.array(((5.1, 3.1, 5.1, 23.1, 3.0),)), np.array(((20.1, 13.1, 7.0, 3.0),)))
+
+
+def test_the_truth_scores_best() -> None:
+    s = score(KNOWN.raster, KNOWN)
+    assert (s.rms_mm, s.mean_mm, s.p95_mm, s.outside_cells, s.raised_coverage) == (0, 0, 0, 0, 1)
+    assert s.covered_mm2 == pytest.approx(32 * 26, rel=0.03)
+    (bar,), (circle,) = s.bars, s.circles
+    assert (bar.angle_deg, bar.bent_mm) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
+    assert abs(bar.off_mm) < 0.15
+    assert abs(circle.radius_percent) < 1
+    assert circle.round_mm < 0.15
+
+
+def test_errors_are_measured_where_something_was_touched() -> None:
+    z = KNOWN.raster.z_mm + np.float32(0.1)
+    z[:40] = np.nan
+    s = score(replace(KNOWN.raster, z_mm=z), KNOWN)
+    assert (s.rms_mm, s.mean_mm) == (pytest.approx(0.1, abs=1e-5), pytest.approx(0.1, abs=1e-5))
+    assert s.covered_mm2 == pytest.approx(np.count_nonzero(np.isfinite(z)) / 16)
+    assert 0.5 < s.raised_coverage < 0.9
+    assert (s.raised_mean_mm, s.flat_rms_mm) == (pytest.approx(0.1, abs=1e-5), pytest.approx(0.1, abs=1e-5))
+
+
+def test_errors_at_walls_are_told_apart() -> None:
+    s = score(raster(Bar(5.6, 3.1, 5.6, 23.1, 3.0), RING), KNOWN)
+    assert s.flat_rms_mm < 0.01
+    assert s.wall_part > 0.99
+    assert s.rms_mm > 0.1
+
+
+def test_a_tilted_bar_and_a_wider_ring_are_told() -> None:
+    turned = Bar(5.1 - 0.35, 3.1, 5.1 + 0.35, 23.1, 3.0)  # 2 degrees
+    s = score(raster(turned, Arc(20.1, 13.1, 7.35, 3.0)), KNOWN)
+    assert s.bars[0].angle_deg == pytest.approx(-2.0, abs=0.2)
+    assert s.bars[0].bent_mm < 0.1
+    assert s.circles[0].radius_percent == pytest.approx(5, abs=0.5)
+    moved = score(raster(Bar(5.6, 3.1, 5.6, 23.1, 3.0), RING), KNOWN)
+    assert abs(moved.bars[0].off_mm) == pytest.approx(0.5, abs=0.15)
+
+
+def test_what_was_not_found_has_no_figures() -> None:
+    s = score(raster(), KNOWN)
+    assert np.isnan(s.bars[0].angle_deg)
+    assert np.isnan(s.circles[0].found_mm)
+    assert s.as_json()["bars"][0]["angle_deg"] is None
+    assert s.raised_coverage == 1  # touched, at a wrong height: that is the RMS'
+
+
+def test_a_map_of_another_step_and_place() -> None:
+    part = raster(BAR, RING, step_mm=0.5)
+    s = score(Raster(part.z_mm[10:30, 4:], 2.0, 5.0, 0.5), KNOWN)
+    assert s.rms_mm == 0
+    beyond = Raster(np.zeros((10, 200), np.float32), 0.0, 0.0, 0.25)
+    assert score(beyond, KNOWN).outside_cells == 10 * (200 - 129)
+
+
+def test_another_frame_is_told() -> None:
+    with pytest.raises(ConfigError, match="share no cell"):
+        score(replace(KNOWN.raster, x0_mm=500.0), KNOWN)
+
+
+def test_a_file_of_the_contracts_keys_is_enough(tmp_path: Path) -> None:
+    path = tmp_path / "map.npz"
+    np.savez(path, z_mm=KNOWN.raster.z_mm, x0_mm=0.0, y0_mm=0.0, step_mm=0.25)
+    known = read_known(path)
+    np.testing.assert_array_equal(known.raster.z_mm, KNOWN.raster.z_mm)
+    assert score(KNOWN.raster, known).bars == ()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"no zip"])
+def test_a_file_that_is_none(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"bad\.npz"):
+        read_known(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"z_mm": np.zeros(3)}, {"step_mm": 0.0}, {"z_mm": np.full((2, 2), np.nan)}, {"z_mm": None}),
+        *({"step_mm": np.inf}, {"step_mm": 1e-300}, {"x0_mm": np.nan}, {"x0_mm": np.zeros(2)}, {"z_mm": np.array("a")}),
+        *({"bars_mm": np.zeros((1, 5))}, {"bars_mm": np.zeros(4)}, {"circles_mm": np.full((1, 4), np.nan)}),
+        {"z_mm": np.array([[None]])},
+    ],
+)
+def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:
+    content = {"z_mm": np.zeros((4, 4)), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": 1.0} | change
+    if content["z_mm"] is None:
+        del content["z_mm"]
+    np.savez(tmp_path / "bad.npz", **content)
+    with pytest.raises(ConfigError, match=r"bad\.npz"):
+        read_known(tmp_path / "bad.npz")
+
+
+def test_a_missing_file_and_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(ConfigError, match="found no regular file"):
+        read_known(tmp_path / "pipe.npz")
+    with pytest.raises(ConfigError, match="No such file"):
+        read_known(tmp_path / "none.npz")
+
+
+def test_each_height_is_the_mean_of_those_in_the_radius() -> None:
+    # Three in a row, 0.8 mm apart: the middle one sees both others, the outer ones only it.
+    points = np.array(((0.0, 0.0, 1.0), (0.8, 0.0, 2.0), (1.6, 0.0, 6.0), (520.0, 0.0, 9.0)))
+    raster = radius_average(points, step_mm=0.4, radius_mm=1.0)
+    found = {round(x, 1): z for x, _, z in raster.points()}
+    assert found == {
+        0.0: pytest.approx(1.5),
+        0.8: pytest.approx(3.0),
+        1.6: pytest.approx(4.0),
+        520.0: pytest.approx(9.0),
+    }
+
+
+def test_noise_is_smoothed_and_edges_are_too() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 10, (2, 8000))
+    points = np.stack((x, y, (x > 5) + rng.normal(0, 0.1, x.shape)), axis=1)
+    found = radius_average(points, 0.25).points()
+    flat = np.abs(found[:, 0] - 5) > 1.5
+    assert np.std(found[flat, 2] - (found[flat, 0] > 5)) < 0.03
+    assert np.ptp(found[np.abs(found[:, 0] - 5) < 0.5, 2]) < 0.75
+
+
+def test_the_error_is_where_it_is() -> None:
+    known = Raster(np.zeros((20, 30), np.float32), 0.0, 0.0, 0.25)
+    z = known.z_mm.copy()
+    z[2:6, 3:7] = 0.5  # at small x and y: bottom left of a picture from above
+    z[10:, 20:] = np.nan
+    picture = comparison(known, Raster(z, 0.0, 0.0, 0.25), known).astype(int)
+    height, width = picture.shape[0] // 2, picture.shape[1] // 2
+    zoom = 600 // 30
+    error = picture[height + 22 : height + 22 + 20 * zoom, width : width + 30 * zoom][
+        zoom // 2 :: zoom, zoom // 2 :: zoom
+    ]
+    red = (error[..., 2] == 255) & (error[..., 0] == 0)
+    expected = np.zeros((20, 30), bool)
+    expected[20 - 6 : 20 - 2, 3:7] = True
+    np.testing.assert_array_equal(red, expected)
+    grey = np.zeros((20, 30), bool)
+    grey[:10, 20:] = True
+    np.testing.assert_array_equal((error == 225).all(axis=2), grey)

@@ -1,0 +1,127 @@
+"""Tables, documents, plots, settings and a board's block."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.trade_points import point
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.studies.tradeoff import report
+from tacshade_edge.studies.tradeoff.measure import Estimate
+from tacshade_edge.studies.tradeoff.report import best_within, over_budget, settings_block
+
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+SETTINGS = [
+    point("fast", 0.2, 1.0, front=True),
+    replace(point(replace(PROFILES["fast"], stride_px=8), 0.4, 2.0), p50_ms=Estimate(2.0, math.nan, math.nan)),
+    replace(point("accurate", 0.1, 3.0), iou=UNKNOWN),
+]
+
+
+def test_the_tables_have_a_line_for_each_setting_and_the_intervals() -> None:
+    settings, _, stages = report.table(SETTINGS).split("\n\n")
+    shipped, varied, accurate = settings.splitlines()[2:]
+    assert "| fast     | **as shipped** | 0.200 (0.180 to 0.220) |" in shipped
+    assert "| 1.00 (0.90 to 1.10) |" in shipped
+    assert shipped.endswith("|   yes |")
+    assert "| stride 8 px    |" in varied
+    assert "|                2.00 |" in varied
+    assert "|      |" in accurate
+    assert "0.10 / 0.20" in stages
+    assert len(stages.splitlines()) == 5
+
+
+def test_the_csv_has_a_column_for_each_figure_and_nothing_for_nan() -> None:
+    lines = list(csv.DictReader(io.StringIO(report.csv_text(SETTINGS))))
+    assert [line["setting"] for line in lines] == ["fast", "fast, stride 8 px", "accurate"]
+    assert [(line["shipped"], line["front"]) for line in lines] == [("1", "1"), ("0", "0"), ("1", "0")]
+    assert (lines[0]["me_mm"], lines[0]["me_mm_low"], lines[1]["p50_ms_low"]) == ("0.2", "0.18", "")
+    assert (lines[0]["gate_p99_ms"], lines[0]["depth_p50_ms"]) == ("0.4", "")
+    assert {len(line) for line in lines} == {len(report.record(SETTINGS[0]))}
+
+
+FACTS = {
+    "board": "Pi",
+    "processor": "Cortex-A76",
+    "cores": "4, up to 2400 MHz",
+    "tacshade-edge": "1.0.0",
+    "after": "61",
+}
+BOARD = [point("fast", 0.2, 1.0), replace(point("accurate", 0.1, 3.0), idle_p50_ms=0.5)]
+DOCUMENT = Path(__file__).parents[2] / "docs/reference/boards.md"
+
+
+def test_the_block_has_the_boards_row_and_what_else_is_known() -> None:
+    header, rule, row, *rest = report.board_block(FACTS, BOARD, 1.04).splitlines()
+    assert header == f"| {' | '.join(report.HEADER)} |"
+    assert row == (
+        "| Pi | Cortex-A76, 4 cores | unknown | 1.0.0 | 1.00 / 2.00 |  | 3.00 / 6.00 | 0.30 to 0.50 | 12 | 1.0 |"
+    )
+    assert header.count("|") == rule.count("|") == row.count("|")
+    assert [line for line in rest if line] == [f"- {name}: {text}" for name, text in FACTS.items()]
+
+
+def test_the_documents_table_takes_the_rows() -> None:
+    rows = [line for line in DOCUMENT.read_text().splitlines() if line.startswith("|")]
+    assert rows[0] == f"| {' | '.join(report.HEADER)} |"
+    assert {row.count("|") for row in rows} == {len(report.HEADER) + 1}
+
+
+CHOICES = [point("fast", 0.2, 1.0), point("accurate", 0.15, 3.0), point("paper", 2.0, 500.0)]
+
+
+def chosen(budget_ms: float) -> str | None:
+    block = settings_block(CHOICES, budget_ms)
+    return block and block.splitlines()[-1]
+
+
+def test_the_most_accurate_that_keeps_the_budget_in_99_of_100_frames() -> None:
+    assert chosen(1.9) is None
+    assert chosen(2.0) == "profile: fast"
+    assert chosen(5.9) == "profile: fast"
+    assert chosen(6.0) == "profile: accurate"
+    assert chosen(5000) == "profile: accurate"
+    best = best_within(CHOICES, 5000)
+    assert best is not None
+    assert best.setting.profile.name == "accurate"
+
+
+def test_a_better_one_that_cannot_be_set_is_told_when_it_is_clearly_better() -> None:
+    clearly = point(replace(PROFILES["accurate"], stride_px=8), 0.1, 0.9)
+    block = settings_block([*CHOICES, clearly], 2.0)
+    assert block is not None
+    told, better, setting = block.splitlines()
+    assert told.startswith("# The most accurate within 2 ms")
+    assert "p99 2.00 ms, p50 1.00 ms, ME 0.200 mm" in told
+    assert better.startswith("# Better, but not a shipped profile: accurate, stride 8 px")
+    assert setting == "profile: fast"
+    hardly = point(replace(PROFILES["accurate"], stride_px=8), 0.19, 0.9)
+    assert len((settings_block([*CHOICES, hardly], 2.0) or "").splitlines()) == 2
+
+
+def test_a_budget_that_none_keeps_is_told_with_the_nearest() -> None:
+    assert "the fastest, fast, takes 2.00 ms (p99)" in over_budget(CHOICES, 1.0)
+    assert "none can be chosen" in over_budget([], 1.0)
+
+
+@pytest.mark.slow  # it imports matplotlib
+@pytest.mark.parametrize("budget_ms", [None, 3.0])
+def test_points_without_intervals_or_figures_are_drawn_or_left_out(budget_ms: float | None) -> None:
+    points = [
+        point("fast", 0.2, 1.0, front=True),
+        replace(point("accurate", 0.1, 3.0, front=True), me_mm=Estimate(0.1, math.nan, math.nan)),
+        replace(
+            point(replace(PROFILES["paper"], stride_px=8), 2.0, 9.0), p50_ms=Estimate(math.nan, math.nan, math.nan)
+        ),
+    ]
+    image = cv2.imdecode(np.frombuffer(report.draw(points, budget_ms), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert image.std() > 10

@@ -1,1 +1,0 @@
-"""Study the limits of reconstruction: phantoms, least and greatest depth, finest shape, disturbed frames."""

@@ -1,1 +1,0 @@
-"""Study how early the margin announces a slip, and how often it raises a false alarm."""

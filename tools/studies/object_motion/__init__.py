@@ -1,1 +1,0 @@
-"""Study how well a hand knows the motion of the object that it holds."""

@@ -1,1 +1,0 @@
-"""How well the standard deviations of heights hold."""

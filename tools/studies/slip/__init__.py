@@ -1,1 +1,0 @@
-"""Study how soon a slip is reported, and how often falsely."""
