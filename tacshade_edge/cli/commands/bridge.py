@@ -8,14 +8,13 @@ import sys
 import threading
 from collections.abc import Callable
 
-from tacshade_edge.cli.shared.addresses import address
-from tacshade_edge.cli.shared.dashboard_access import is_loopback
+from tacshade_edge.cli.shared.dashboard_access import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+from tacshade_edge.cli.shared.options import add_option, address, need
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories.links import password_in
-from tacshade_edge.version import how_to_install
 
 POLL_S = 0.1
 _ENDS = (signal.SIGTERM, signal.SIGINT)
@@ -29,29 +28,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("prometheus", 9469, "serve every sensor's health as Prometheus metrics on /metrics"),
     ):
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        kind.add_argument(
-            "--broker",
-            type=address(1883),
-            default=("localhost", 1883),
-            metavar="HOST[:PORT]",
-            help="the broker's address (default: localhost:1883)",
-        )
-        kind.add_argument(
-            "--sensor", nargs="+", default=[], metavar="ID", help="serve only these sensors (default: all)"
-        )
-        kind.add_argument(
-            "--listen",
-            type=address(port),
-            default=("127.0.0.1", port),
-            metavar="HOST[:PORT]",
-            help=f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, this machine only)",
-        )
-        kind.add_argument("--username", metavar="NAME", help="user name for the broker")
-        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the broker password")
-        kind.add_argument(
-            "--ca-file",
-            metavar="FILE",
-            help="PEM file with the broker's CA certificate, for a TLS connection to the broker",
+        broker = "the broker's address (default: localhost:1883)"
+        add_option(kind, "--broker", "HOST[:PORT]", broker, address(1883), default=("localhost", 1883))
+        add_option(kind, "--sensor", "ID", "serve only these sensors (default: all)", str, nargs="+", default=[])
+        listen = f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, this machine only)"
+        add_option(kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port))
+        add_option(kind, "--username", "NAME", "user name for the broker", str)
+        add_option(kind, "--password-file", "FILE", "file whose first line is the broker password")
+        add_option(
+            kind, "--ca-file", "FILE", "PEM file with the CA certificate, for a TLS connection to the broker", str
         )
         add_verbosity(kind)
 
@@ -61,13 +46,8 @@ def run(args: argparse.Namespace) -> int:
     if args.password_file and not args.username:
         raise ConfigError("--password-file: found no --username, expected both options")
     host, port = args.broker
-    broker = BrokerAddress(
-        host=host,
-        port=port,
-        username=args.username,
-        password=password_in(args.password_file, "--password-file") if args.password_file else None,
-        tls_ca=args.ca_file,
-    )
+    password = password_in(args.password_file, "--password-file") if args.password_file else None
+    broker = BrokerAddress(host=host, port=port, username=args.username, password=password, tls_ca=args.ca_file)
     # `_serve` waits for the blocked signals, so no handler interrupts other code. Threads started later inherit the
     # mask; one that a library started before may take a signal, which must not end the process: hence the handlers.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
@@ -84,14 +64,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
-    try:
-        from tacshade_edge.bridge.foxglove import FoxgloveBridge
-    except ModuleNotFoundError as error:
-        raise _missing(error, "foxglove", "foxglove-sdk") from None
+    need("bridge", "foxglove", "foxglove", "websockets")
+    from tacshade_edge.bridge.foxglove import FoxgloveBridge
+
     host, port = args.listen
     follower = Follower(broker, lambda *message: bridge.hear(*message))
     bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
-    _announce(args, f"ws://{_in_url(host)}:{bridge.port}")
+    _announce(args, f"ws://{in_url(host)}:{bridge.port}")
     try:
         _serve(follower, bridge.poll, ended)
     finally:
@@ -99,12 +78,11 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.
 
 
 def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
-    try:
-        from prometheus_client import CollectorRegistry
+    need("bridge", "prometheus", "prometheus_client")
+    from prometheus_client import CollectorRegistry
 
-        from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
-    except ModuleNotFoundError as error:
-        raise _missing(error, "prometheus", "prometheus_client") from None
+    from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
+
     host, port = args.listen
     sensors = SensorMetrics(args.sensor)
     registry = CollectorRegistry()
@@ -114,11 +92,9 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
     try:
         server = MetricsServer(host, port, registry)
     except OSError as error:
-        reason = error.strerror or error
-        raise ConfigError(
-            f"--listen {host}:{port}: {reason}, expected a free port on one of this machine's addresses"
-        ) from None
-    _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
+        expected = "expected a free port on one of this machine's addresses"
+        raise ConfigError(f"--listen {host}:{port}: {error.strerror or error}, {expected}") from None
+    _announce(args, f"http://{in_url(host)}:{server.server_port}/metrics")
     try:
         _serve(follower, lambda: None, ended)
     finally:
@@ -143,13 +119,3 @@ def _announce(args: argparse.Namespace, url: str) -> None:
     print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
     if not is_loopback(args.listen[0]):
         print(f"{args.kind}: no encryption and no password: anyone on the network can read it", file=sys.stderr)
-
-
-def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
-    if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
-        return error
-    return ConfigError(f"the package {package} is not installed; to install it: {how_to_install(extra)}")
-
-
-def _in_url(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
 
 import msgspec
 import yaml
@@ -19,11 +20,10 @@ from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.printer.line import PrinterLine
 from tacshade_edge.capture.printer.plan import planned_presses
 from tacshade_edge.capture.printer.pressing import Pressing
-from tacshade_edge.capture.robot_place import RobotPlaces
+from tacshade_edge.capture.robot_place import PoseAt, RobotPlaces
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import InputEnded, Terminal
-from tacshade_edge.cli.commands.capture_robot import robot_poses
-from tacshade_edge.cli.commands.check_config import add_sensor
+from tacshade_edge.cli.shared.options import add_option, add_sensor
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.devices.camera import v4l2_node
@@ -34,6 +34,7 @@ from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import ports, sources
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
@@ -41,7 +42,7 @@ from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolde
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.label_folder import LABELS, LabelFolder
 from tacshade_edge.storage.tables.presses import BALL
-from tacshade_edge.types import Disc
+from tacshade_edge.types import Disc, Frame, Pose
 
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
@@ -53,50 +54,28 @@ _QUESTIONS = {
 _MAY_BE_EMPTY = "camera_distance_mm"
 _PRINTER_WRITE_S = 2.0
 """A busy board must not look like a printer that hangs: that stops the presses with M112."""
+_CAPTURING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capture is taking references and presses")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "folder",
-        type=Path,
-        nargs="?",
-        metavar="DIR",
-        help="folder to write to; an interrupted capture continues where it stopped",
-    )
-    what.add_argument(
-        "--indenters",
-        type=Path,
-        metavar="DIR",
-        help="write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
-    )
-    what.add_argument(
-        "--labels",
-        type=Path,
-        metavar="DIR",
-        help="add labelled frames to DIR/LABELS.csv; you type the labels, or a robot or scale supplies them",
-    )
-    parser.add_argument(
-        "--scale",
-        metavar="DEVICE[:BAUD]",
-        help=f"with --labels: read a scale on this serial port; the scale must send numbers with units at {BAUD} baud",
-    )
+    text = "folder to write to; an interrupted capture continues where it stopped"
+    add_option(what, "folder", "DIR", text, nargs="?")
+    text = "write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit"
+    add_option(what, "--indenters", "DIR", text)
+    text = "add labelled frames to DIR/LABELS.csv; you type the labels, or a robot or scale supplies them"
+    add_option(what, "--labels", "DIR", text)
+    text = f"with --labels: read a scale on this serial port; the scale must send numbers with units at {BAUD} baud"
+    add_option(parser, "--scale", "DEVICE[:BAUD]", text, str)
     camera = parser.add_mutually_exclusive_group()
-    camera.add_argument("--camera", metavar="DEVICE", help="camera to use, if the machine has several")
-    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file whose `source` is the camera")
+    add_option(camera, "--camera", "DEVICE", "camera to use, if the machine has several", str)
+    add_option(camera, "--config", "FILE", "settings file whose `source` is the camera")
     add_sensor(parser)
-    parser.add_argument(
-        "--plan",
-        type=Path,
-        metavar="PLAN.csv",
-        help="suggest the presses in this table, which has the same columns as PRESSES.csv",
-    )
-    parser.add_argument(
-        "--printer",
-        metavar="PORT",
-        help="let the 3-D printer on this serial port make the presses in --plan (needs DIR/PRINTER.yaml)",
-    )
+    text = "suggest the presses in this table, which has the same columns as PRESSES.csv"
+    add_option(parser, "--plan", "PLAN.csv", text)
+    text = "let the 3-D printer on this serial port make the presses in --plan (needs DIR/PRINTER.yaml)"
+    add_option(parser, "--printer", "PORT", text, str)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -117,67 +96,58 @@ def run(args: argparse.Namespace) -> int:
     folder.make()
     try:
         sensor = _sensor(folder, terminal)
-        indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
-        plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
-        if args.labels is not None:
-            _run(folder, source, serial, terminal, sensor, _labelling(args, serial, terminal, sensor))
-        elif args.printer is None:
-
-            def by_hand(live: Live) -> None:
-                with robot_poses(serial) as pose_at:
-                    robot = RobotPlaces(sensor, pose_at) if pose_at else None
-                    Session(folder, sensor, live, terminal, plan, indenters, robot).run()
-
-            _run(folder, source, serial, terminal, sensor, by_hand)
-        else:
-            limits = read_printer(folder.printer)
-            presses = planned_presses(plan, indenters, sensor, limits)
-            line = PrinterLine(SerialPort(args.printer, limits.baud, _PRINTER_WRITE_S))
-
-            def by_printer(live: Live) -> None:
-                session = Session(folder, sensor, live, terminal, (), indenters)
-                pressing = Pressing(session, live, terminal, line, limits, sensor, presses)
-                line.connect()
-                pressing.run()
-
-            try:
-                _run(folder, source, serial, terminal, sensor, by_printer)
-            finally:
-                line.close()
+        _run(folder, source, serial, terminal, sensor, _session(args, folder, serial, terminal, sensor))
     except InputEnded:
         terminal.say("")
     except KeyboardInterrupt:
-        terminal.say("")
-        option = "--labels " if args.labels else ""
-        words = f"tacshade-edge capture {option}{shlex.quote(str(folder.path))}"
-        terminal.say(f"everything taken so far is kept; to continue, run: {words}")
+        words = f"tacshade-edge capture {'--labels ' if args.labels else ''}{shlex.quote(str(folder.path))}"
+        terminal.say(f"\neverything taken so far is kept; to continue, run: {words}")
         raise
     except DeviceError as error:
-        raise DeviceError(
-            f"{error}; to continue in {folder.path}, run the same command again", code=error.code
-        ) from None
+        again = f"to continue in {folder.path}, run the same command again"
+        raise DeviceError(f"{error}; {again}", code=error.code) from None
     (_say_next_of_labels if args.labels else _say_next)(folder, terminal)
     return 0
 
 
-def _labelling(
-    args: argparse.Namespace, serial: Serial | None, terminal: Terminal, sensor: Sensor
+def _session(
+    args: argparse.Namespace, folder: CaptureFolder, serial: Serial | None, terminal: Terminal, sensor: Sensor
 ) -> Callable[[Live], None]:
-    """Return a function that takes labelled frames from an open camera."""
+    """Read the tables, and return the function that takes presses or labelled frames from an open camera."""
+    indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
+    plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
 
-    def session(live: Live) -> None:
-        scale = None if args.scale is None else Scale(scale_port(args.scale))
-        try:
+    def by_hand(live: Live) -> None:
+        with _robot_poses(serial) as pose_at:
+            robot = RobotPlaces(sensor, pose_at) if pose_at else None
+            Session(folder, sensor, live, terminal, plan, indenters, robot).run()
+
+    def labelling(live: Live) -> None:
+        with contextlib.ExitStack() as stack:
+            scale = None if args.scale is None else Scale(scale_port(args.scale))
             if scale:
+                stack.callback(scale.close)
                 scale.open()
-            with robot_poses(serial) as pose_at:
-                robot = RobotLabels(sensor, pose_at) if pose_at else None
-                LabelSession(LabelFolder(args.labels), live, terminal, scale, robot).run()
-        finally:
-            if scale:
-                scale.close()
+            pose_at = stack.enter_context(_robot_poses(serial))
+            robot = RobotLabels(sensor, pose_at) if pose_at else None
+            LabelSession(LabelFolder(args.labels), live, terminal, scale, robot).run()
 
-    return session
+    if args.printer is None:
+        return labelling if args.labels else by_hand
+    limits = read_printer(folder.printer)
+    presses = planned_presses(plan, indenters, sensor, limits)
+    line = PrinterLine(SerialPort(args.printer, limits.baud, _PRINTER_WRITE_S))
+
+    def by_printer(live: Live) -> None:
+        try:
+            session = Session(folder, sensor, live, terminal, (), indenters)
+            pressing = Pressing(session, live, terminal, line, limits, sensor, presses)
+            line.connect()
+            pressing.run()
+        finally:
+            line.close()
+
+    return by_printer
 
 
 def _run(
@@ -209,13 +179,35 @@ def _run(
         page.close()
 
 
-def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
-    """The camera from the settings, else from --camera, else the machine's only one; and the robot from the settings.
+@contextlib.contextmanager
+def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
+    """Serve the robot's serial line as the daemon does, but requests have no effect; yields None without a robot."""
+    if serial is None or (port := ports.make_serial_port(serial)) is None:
+        yield None
+        return
+    from tacshade_edge.daemon.robot import Robot
 
-    Raises
-    ------
-    ConfigError
-    """
+    statuses: list[bytes] = []
+    state = {"source": "streaming", "health": {}}
+    robot = Robot(port, lambda request: None, lambda: state, statuses.append, lambda: _CAPTURING)
+
+    def pose_at(frame: Frame) -> Pose | str:
+        if (pose := robot.with_interpolated_pose(frame).pose) is not None:
+            return pose
+        robot.poll()
+        status = json.loads(statuses[-1])
+        why = status["reason"] or f"clock {status.get('sync')}"
+        return f"the robot reported no pose for this picture ({serial.device} is {status['state']}: {why})"
+
+    robot.start()
+    try:
+        yield pose_at
+    finally:
+        robot.stop(1.0)
+
+
+def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
+    """The camera and robot of the settings, else the camera of --camera, else the only one. Raises ConfigError."""
     device: str | None = args.camera
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
@@ -224,33 +216,29 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         ports.check_serial(document)
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
-            where = document.where("source")
-            raise ConfigError(
-                f"--camera {device}: found another source in {where}, expected this camera; edit or delete that file"
-            )
+            found = f"found another source in {document.where('source')}"
+            raise ConfigError(f"--camera {device}: {found}, expected this camera; edit or delete that file")
         return source, document.settings.serial
     if device is None:
-        cameras = found_cameras(Machine())
+        machine = Machine()
+        cameras = found_cameras(machine)
         if not cameras and len(numbers := list(csi_cameras())) == 1:
             return Rpicam(camera=numbers[0]), None
-        if len(cameras) != 1:
-            raise ConfigError(_which(cameras))
+        if len(cameras) > 1:
+            raise ConfigError(f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}")
+        if not cameras and has_csi_receiver(machine):
+            raise ConfigError(f"found no USB camera; {CSI_FIX}")
+        if not cameras:
+            expected = "expected one (lsusb lists it if USB sees it), or --config with a source"
+            raise ConfigError(f"found no camera, {expected}")
         device = cameras[0]
     v4l2_node.check_node(device)
     offered = v4l2_node.formats(device)
     known = [code for code in FOURCCS if code in offered]
     if not known:
-        found = ", ".join(offered) or "none"
-        raise ConfigError(f"--camera {device}: pixel formats: found {found}, expected one of {', '.join(FOURCCS)}")
+        found = f"found {', '.join(offered) or 'none'}, expected one of {', '.join(FOURCCS)}"
+        raise ConfigError(f"--camera {device}: pixel formats: {found}")
     return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2), None
-
-
-def _which(cameras: Sequence[str]) -> str:
-    if cameras:
-        return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
-    if has_csi_receiver(Machine()):
-        return f"found no USB camera; {CSI_FIX}"
-    return "found no camera, expected one (lsusb lists it if USB sees it), or --config with a source"
 
 
 def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:
@@ -284,29 +272,34 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
     return read_sensor(folder.sensor)
 
 
+def _calibrate(folder: CaptureFolder) -> tuple[str, str]:
+    """Return the folder's name and the beginning of `calibrate` for a shell."""
+    at = shlex.quote(str(folder.path))
+    return at, f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
+
+
 def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
     """Print the command that learns from the table, for the user to copy."""
-    shown = shlex.quote(str(folder.path))
-    words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
-    terminal.say(f"next:\n  {words} --labels {shown}/{LABELS} --out {shown}/{_CALIBRATION}")
+    at, words = _calibrate(folder)
+    terminal.say(f"next:\n  {words} --labels {at}/{LABELS} --out {at}/{_CALIBRATION}")
     if not list(folder.path.glob(REFERENCES)):
-        terminal.say(f"no references yet; to take them, run: tacshade-edge capture {shown}")
+        terminal.say(f"no references yet; to take them, run: tacshade-edge capture {at}")
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
     """Print the commands that come next, for the user to copy."""
-    taken, shown = folder.taken(), shlex.quote(str(folder.path))
+    taken, (at, words) = folder.taken(), _calibrate(folder)
     if not list(folder.path.glob(REFERENCES)):
-        terminal.say(f"no reference was taken; to continue, run: tacshade-edge capture {shown}")
+        terminal.say(f"no reference was taken; to continue, run: tacshade-edge capture {at}")
         return
-    words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
     if len(taken) >= MIN_PRESSES:
-        words += f" --presses {shown}/{folder.presses.name}"
+        words += f" --presses {at}/{folder.presses.name}"
         if any(one.stated.columns[0] != BALL for one in taken):
-            words += f" --indenters {shown}/{folder.indenters.name}"
+            words += f" --indenters {at}/{folder.indenters.name}"
     else:
-        terminal.say(
-            f"{len(taken)} presses: a fit needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
-        )
-    terminal.say(f"next:\n  {words} --out {shown}/{_CALIBRATION}")
-    terminal.say(f"  tacshade-edge run --config {shown}/{folder.settings.name}")
+        count = f"{len(taken)} press{'' if len(taken) == 1 else 'es'}"
+        more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
+        terminal.say(f"{count}: {more}")
+    terminal.say(f"next:\n  {words} --fit --out {at}/{_CALIBRATION}")
+    terminal.say("  (--fit makes the networks this sensor's own; it takes minutes and needs the `fit` extra)")
+    terminal.say(f"  tacshade-edge run --config {at}/{folder.settings.name}")

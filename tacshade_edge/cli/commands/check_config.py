@@ -7,32 +7,19 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from tacshade_edge.cli.shared.options import DEFAULT_CONFIG
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, ports, sources
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
-DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
-
-
-def add_sensor(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--sensor``."""
-    parser.add_argument("--sensor", metavar="ID", help="sensor to use, if the settings list several")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.add_argument(
-        "file",
-        nargs="?",
-        type=Path,
-        default=DEFAULT_CONFIG,
-        metavar="FILE",
-        help="settings file (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--schema", action="store_true", help="print the JSON Schema of settings files instead of checking a file"
-    )
+    text = "settings file (default: %(default)s)"
+    parser.add_argument("file", nargs="?", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=text)
+    text = "print the JSON Schema of settings files instead of checking a file"
+    parser.add_argument("--schema", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,11 +27,9 @@ def run(args: argparse.Namespace) -> int:
     if args.schema:
         print(json.dumps(file_schema(), indent=2))
         return 0
-    documents = load_all(args.file)
+    documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
     checks: tuple[Callable[[Document], object], ...]
     checks = (sources.check_source, ports.check_serial, _check_broker, calibrations.find_calibration)
-    mistakes: list[str] = []
-    warnings: list[str] = []
     for document in documents:
         for check in checks:
             try:

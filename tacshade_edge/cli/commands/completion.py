@@ -5,10 +5,7 @@ from __future__ import annotations
 import argparse
 
 from tacshade_edge.cli import command_line
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.version import how_to_install
-
-SHELLS = ("bash", "zsh", "tcsh")
+from tacshade_edge.cli.shared.options import need
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,16 +14,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "For bash, run: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; for "
         "zsh, run: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
     )
-    parser.add_argument("shell", choices=SHELLS)
+    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the shell's completion script."""
-    try:
-        import shtab
-    except ImportError:
-        found = "completion: the package shtab is not installed"
-        raise ConfigError(f"{found}; to install it: {how_to_install('completion')}") from None
+    need("completion", "completion", "shtab")
+    import shtab
+
     parser, _ = command_line(lambda _: True)
     print(shtab.complete(parser, args.shell))
     return 0

@@ -11,92 +11,40 @@ import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from tacshade_edge.cli.shared.addresses import address
-from tacshade_edge.cli.shared.dashboard_access import is_loopback, make_token, read_token, server_tls
+from tacshade_edge.cli.shared.dashboard_access import ANY, in_url, is_loopback, make_token, read_token, server_tls
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+from tacshade_edge.cli.shared.options import PORT, add_option, address, need
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.version import how_to_install
-
-_ANY = ("0.0.0.0", "::")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add_verbosity(parser)
-    parser.add_argument(
-        "--broker",
-        type=address(),
-        default=("localhost", 1883),
-        metavar="HOST:PORT",
-        help="the broker's address and MQTT port, not its WebSocket port (default: localhost:1883)",
-    )
-    parser.add_argument(
-        "--http",
-        type=_port,
-        default=8080,
-        metavar="PORT",
-        help="port to serve the page on; 0 picks a free port (default: 8080)",
-    )
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help=(
-            "address to listen on (default: this machine only); "
-            "any other address needs a token and makes the page read-only"
-        ),
-    )
-    parser.add_argument(
-        "--token-file",
-        type=Path,
-        metavar="FILE",
-        help="file with the token that opens the page read-only; the dashboard creates the file if it is missing",
-    )
-    parser.add_argument(
-        "--allow-control", action="store_true", help="also let anyone with the token send commands to the sensors"
-    )
-    parser.add_argument(
-        "--recordings",
-        type=Path,
-        metavar="DIR",
-        help="let the page list, play, download and delete the recordings in this folder",
-    )
-    parser.add_argument(
-        "--certificate", type=Path, metavar="FILE", help="serve the page over TLS with the certificate in this PEM file"
-    )
-    parser.add_argument(
-        "--key",
-        type=Path,
-        metavar="FILE",
-        help="PEM file with the certificate's private key (default: the --certificate file)",
-    )
-    parser.add_argument(
-        "--ca-file",
-        type=Path,
-        metavar="FILE",
-        help="PEM file with the broker's CA certificate, for a TLS connection to the broker",
-    )
-    parser.add_argument(
-        "--origin",
-        type=_origin,
-        action="append",
-        default=[],
-        metavar="URL",
-        help="public address of a page that a proxy serves, such as https://hand.example.org",
-    )
+    text = "the broker's address and MQTT port, not its WebSocket port (default: localhost:1883)"
+    add_option(parser, "--broker", "HOST:PORT", text, address(), default=("localhost", 1883))
+    text = "port to serve the page on; 0 picks a free port (default: 8080)"
+    add_option(parser, "--http", "PORT", text, PORT, default=8080)
+    text = "address to listen on (default: this machine only); any other needs a token and makes the page read-only"
+    add_option(parser, "--host", "ADDRESS", text, str, default="127.0.0.1")
+    text = "file with the token that opens the page read-only; the dashboard creates the file if it is missing"
+    add_option(parser, "--token-file", "FILE", text)
+    text = "also let anyone with the token send commands to the sensors"
+    parser.add_argument("--allow-control", action="store_true", help=text)
+    text = "let the page list, play, download and delete the recordings in this folder"
+    add_option(parser, "--recordings", "DIR", text)
+    add_option(parser, "--certificate", "FILE", "serve the page over TLS with the certificate in this PEM file")
+    add_option(parser, "--key", "FILE", "PEM file with the certificate's private key (default: the --certificate file)")
+    add_option(parser, "--ca-file", "FILE", "PEM file with the CA certificate, for a TLS connection to the broker")
+    text = "public address of a page that a proxy serves, such as https://hand.example.org"
+    add_option(parser, "--origin", "URL", text, _origin, action="append", default=[])
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C."""
-    try:
-        from tacshade_edge.dashboard import server
-        from tacshade_edge.dashboard.bridge import Broker
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "websockets":
-            raise
-        raise ConfigError(
-            f"the package websockets is not installed; to install it: {how_to_install('dashboard')}"
-        ) from None
+    need("dashboard", "dashboard", "websockets")
+    from tacshade_edge.dashboard import server
+    from tacshade_edge.dashboard.bridge import Broker
+
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
@@ -111,34 +59,21 @@ def run(args: argparse.Namespace) -> int:
     read_only = token is not None and not args.allow_control
 
     def listening(host: str, port: int) -> None:
-        name = socket.gethostname() if host in _ANY else host
-        page = f"{'https' if tls else 'http'}://{f'[{name}]' if ':' in name else name}:{port}/"
-        page += f"login#{token}" if is_new else ""
+        name = socket.gethostname() if host in ANY else host
+        page = f"{'https' if tls else 'http'}://{in_url(name)}:{port}/{f'login#{token}' if is_new else ''}"
         how = ", read-only" if read_only else ""
         how += f", token in {args.token_file}" if args.token_file else ""
         print(f"dashboard: {page} for the broker {broker}{how}; press Ctrl-C to stop", flush=True)
         if is_opened and not tls:
-            print(
-                "dashboard: no encryption: others on the network can read the token and the page (see --certificate)",
-                file=sys.stderr,
-            )
+            text = "no encryption: others on the network can read the token and the page (see --certificate)"
+            print(f"dashboard: {text}", file=sys.stderr)
 
     async def serve() -> None:
         stop = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
-        await server.run(
-            broker,
-            args.host,
-            args.http,
-            frozenset(args.origin),
-            listening,
-            stop,
-            tls=tls,
-            token=token,
-            read_only=read_only,
-            recordings=args.recordings,
-        )
+        access = {"tls": tls, "token": token, "read_only": read_only, "recordings": args.recordings}
+        await server.run(broker, args.host, args.http, frozenset(args.origin), listening, stop, **access)
 
     asyncio.run(serve())
     return 0
@@ -150,12 +85,6 @@ def _tls(ca_file: Path) -> ssl.SSLContext:
     except (OSError, ssl.SSLError) as error:
         reason = error.strerror or str(error)
         raise ConfigError(f"--ca-file {ca_file}: {reason}, expected a PEM file with certificates") from error
-
-
-def _port(text: str) -> int:
-    if text.isascii() and text.isdigit() and int(text) <= 65535:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found {text!r}, expected a port from 0 to 65535")
 
 
 def _origin(text: str) -> str:

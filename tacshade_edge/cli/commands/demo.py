@@ -7,7 +7,6 @@ single sensors: one board cannot run all of them.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import math
 import signal
 import socket
@@ -15,26 +14,23 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Generator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.cli.shared.dashboard_access import is_loopback, make_token
+from tacshade_edge.cli.shared.dashboard_access import ANY, in_url, is_loopback, make_token
+from tacshade_edge.cli.shared.options import PORT, add_option, need
 from tacshade_edge.demo import hand as demo_hand
 from tacshade_edge.demo import touchpad
 from tacshade_edge.demo.broker import broker_command
 from tacshade_edge.demo.child import Child, free_port, wait_for_port
 from tacshade_edge.demo.sensor import make_calibration
-from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.version import how_to_install
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170
-PORT: Final = 8080
+HTTP: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
-ANY: Final = ("0.0.0.0", "::")
 ELSEWHERE: Final = ("192.0.2.1", 9)  # an address reserved for documentation (RFC 5737)
 STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -49,31 +45,18 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    add = parser.add_argument
-    add(
-        "--http",
-        type=int,
-        metavar="PORT",
-        help=f"port to serve the page on (default: {PORT}, or any free port if {PORT} is in use)",
-    )
-    add(
-        "--listen",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help="address to listen on, such as 0.0.0.0 (default: 127.0.0.1, this machine only)",
-    )
-    add(
-        "--hand",
-        action="store_true",
-        help="instead of two separate sensors, show a five-fingered hand that holds a bottle",
-    )
-    add("--seconds", type=float, default=math.inf, metavar="N", help="stop after N seconds")
+    text = f"port to serve the page on (default: {HTTP}, or any free port if {HTTP} is in use)"
+    add_option(parser, "--http", "PORT", text, PORT)
+    text = "address to listen on, such as 0.0.0.0 (default: 127.0.0.1, this machine only)"
+    add_option(parser, "--listen", "ADDRESS", text, str, default="127.0.0.1")
+    text = "instead of two separate sensors, show a five-fingered hand that holds a bottle"
+    parser.add_argument("--hand", action="store_true", help=text)
+    add_option(parser, "--seconds", "N", "stop after N seconds", float, default=math.inf)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
-    if importlib.util.find_spec("websockets") is None:  # the page needs it; check before a minute of work
-        raise ConfigError(f"demo: the package websockets is not installed; to install it: {how_to_install('demo')}")
+    need("demo", "demo", "websockets")  # before a minute of work
     asked = threading.Event()
 
     def stop(*_: object) -> None:
@@ -92,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(number, stop)
     me = [sys.executable, "-m", "tacshade_edge"]
     host = args.listen
-    http = _free(host, PORT) if args.http is None else args.http
+    http = _free(host, HTTP) if args.http is None else args.http
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         children: list[Child] = []
@@ -108,45 +91,37 @@ def run(args: argparse.Namespace) -> int:
         (folder / "recordings").mkdir()
         page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
         page += ["--recordings", str(folder / "recordings")]
-        login = ""
+        path = f"#hand/{demo_hand.HAND_ID}" if args.hand else ""
         if not is_loopback(host):
             # The sensor is simulated, so anyone with the address may control it.
-            token_file = folder / "token"
-            login = f"login#{make_token(token_file)}"
-            page += ["--token-file", str(token_file), "--allow-control"]
+            path = f"login#{make_token(folder / 'token')}"
+            page += ["--token-file", str(folder / "token"), "--allow-control"]
         dashboard = start("dashboard", page)
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
         end_if_asked()
         if args.hand:
             settings = demo_hand.write(folder, mqtt)
+            what = "Five simulated fingers hold a bottle"
         else:
             settings = folder / "settings.yaml"
             settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+            what = "A simulated sensor presses and drags objects; soon a second one stitches a map"
         end_if_asked()
         wait_for_port(broker, mqtt, START_S)
         start("daemon", [*me, "run", "--config", str(settings)])
-        names = addresses(host)
         wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
-        page_of = login or (f"#hand/{demo_hand.HAND_ID}" if args.hand else "")
-        shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{page_of}" for name in names)
-        what = (
-            "Five simulated fingers hold a bottle"
-            if args.hand
-            else "A simulated sensor presses and drags objects; soon a second one stitches a map"
-        )
+        shown = " or ".join(f"http://{in_url(name)}:{http}/{path}" for name in _addresses(host))
         print(f"{what}: open {shown}", flush=True)
-        if login:
+        if not is_loopback(host):
             print("No encryption: others on the network can read the address and the page.", flush=True)
-        print(f"Other programs can listen to the broker 127.0.0.1:{mqtt}.", flush=True)
-        print("Press Ctrl-C to stop.", flush=True)
-        other: Generator[None, None, None]
+        print(f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.", flush=True)
         if args.hand:
-            other = demo_hand.play(folder)
+            other, period_s = demo_hand.play(folder), demo_hand.STEP_S
         else:
             other = touchpad.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
+            period_s = CHECK_PERIOD_S
         stack.callback(other.close)
-        period_s = demo_hand.STEP_S if args.hand else CHECK_PERIOD_S
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(period_s, left_s))
@@ -157,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def addresses(host: str) -> tuple[str, ...]:
+def _addresses(host: str) -> tuple[str, ...]:
     """Return the hosts under which to open the page: `host`, or for a wildcard this machine's address and name."""
     if host not in ANY:
         return (host,)

@@ -7,10 +7,9 @@ import json
 import os
 import sys
 from dataclasses import asdict
-from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
+from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
@@ -18,34 +17,23 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.quoting import escaped
 
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
-_INDENT = " " * 9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings file (default: %(default)s)"
-    )
+    add_config(parser)
     add_sensor(parser)
-    parser.add_argument(
-        "--bundle",
-        type=Path,
-        metavar="FILE",
-        help="write a zip file of diagnostics that you can send when you ask for help",
-    )
-    parser.add_argument(
-        "--with-frame", action="store_true", help="with --bundle: add a picture from the camera to the zip file"
-    )
-    parser.set_defaults(refuse=parser.error)
-    parser.add_argument(
-        "--json", action="store_true", help="print the findings as JSON: a list of {check, state, found, fix}"
-    )
+    add_option(parser, "--bundle", "FILE", "write a zip file of diagnostics that you can send when you ask for help")
+    text = "with --bundle: add a picture from the camera to the zip file"
+    parser.add_argument("--with-frame", action="store_true", help=text)
+    text = "print the findings as JSON: a list of {check, state, found, fix}"
+    parser.add_argument("--json", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; return 78 for bad settings and 1 for any other fault."""
     if args.with_frame and args.bundle is None:
-        args.refuse("--with-frame: found no --bundle FILE, expected both")
+        args.parser.error("--with-frame: found no --bundle FILE, expected both")
     findings, seen = [], Seen()
     for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)
@@ -53,29 +41,26 @@ def run(args: argparse.Namespace) -> int:
             print(shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ), flush=True)
     if args.bundle is not None:
         write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
+    faults, warnings = ([each for each in findings if each.state == state] for state in ("fault", "warning"))
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
-        print(_summary(findings))
+        print(f"{_count(faults, 'fault')}, {_count(warnings, 'warning')}" if faults or warnings else "all is well")
         if args.bundle is not None:
             print(f"wrote {args.bundle}; look through it before you share it")
-    faults = {finding.check for finding in findings if finding.state == "fault"}
-    if SETTINGS in faults:
+    if any(finding.check == SETTINGS for finding in faults):
         return EXIT_CONFIG
     return EXIT_FAILED if faults else EXIT_OK
 
 
 def shown(finding: Finding, *, colour: bool) -> str:
-    """The finding as text: a line, and the fix in a second line."""
+    """Return the finding as text: a line, and the fix in a second line."""
     state = f"{finding.state:<7}"
     if colour:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"
     line = f"{state}  {finding.check:<17}  {escaped(finding.found)}"
-    return f"{line}\n{_INDENT}-> {escaped(finding.fix)}" if finding.fix else line
+    return f"{line}\n{' ' * 9}-> {escaped(finding.fix)}" if finding.fix else line
 
 
-def _summary(findings: list[Finding]) -> str:
-    faults, warnings = (sum(finding.state == state for finding in findings) for state in ("fault", "warning"))
-    if not faults and not warnings:
-        return "all is well"
-    return f"{faults} fault{'' if faults == 1 else 's'}, {warnings} warning{'' if warnings == 1 else 's'}"
+def _count(some: list[Finding], word: str) -> str:
+    return f"{len(some)} {word}{'' if len(some) == 1 else 's'}"

@@ -1,30 +1,36 @@
-"""``tacshade-edge evaluate``: runs the paper's Experiment 1 on simulated sensors, or scores a user's own images."""
+"""``tacshade-edge evaluate``: the paper's Experiment 1 on simulated sensors, or a score of the user's own images."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.commands import evaluate_labels
 from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.options import COUNT, add_option, tell
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
+from tacshade_edge.studies.evaluate import labelled as labels
 from tacshade_edge.studies.evaluate import picture, report
-from tacshade_edge.studies.evaluate.labelled import COLUMNS
 from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.report import figures
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES
-from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, reconstructor
+from tacshade_edge.studies.evaluate.work import Plan, Timing, evaluate, time_profiles
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
+from tacshade_edge.types import Calibration, Frame
 
 WORKING_SENSORS = "default,5,11,21"
 SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
@@ -33,63 +39,28 @@ SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    study.add_arguments(
-        parser,
-        profiles="default: all but paper, which takes a second per frame",
-        files="evaluation.md, evaluation.csv, evaluation.json and figure6.png",
-    )
-    labelled = parser.add_argument_group("your own frames with labels instead of surfaces (--images, --labels)")
-    labelled.add_argument(
-        "--labels",
-        type=Path,
-        metavar="CSV",
-        help=f"table with an image column and any of the columns {', '.join(COLUMNS)}",
-    )
-    labelled.add_argument(
-        "--sensor",
-        type=Path,
-        metavar="SENSOR.yaml",
-        help="file that describes the sensor's dimensions and camera, instead of --calibration",
-    )
-    labelled.add_argument(
-        "--reference",
-        type=Path,
-        nargs="+",
-        metavar="IMG",
-        help="with --sensor: images of the untouched skin (default: the least loaded frame)",
-    )
+    files = "evaluation.md, evaluation.csv, evaluation.json and figure6.png"
+    study.add_arguments(parser, "default: all but paper, which takes a second per frame", files)
+    own = parser.add_argument_group("your own frames with labels instead of surfaces (--images, --labels)")
+    text = f"table with an image column and any of the columns {', '.join(labels.COLUMNS)}"
+    add_option(own, "--labels", "CSV", text)
+    text = "file that describes the sensor's dimensions and camera, instead of --calibration"
+    add_option(own, "--sensor", "SENSOR.yaml", text)
+    text = "with --sensor: images of the untouched skin (default: the least loaded frame)"
+    add_option(own, "--reference", "IMG", text, nargs="+")
     study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
-    simulated.add_argument(
-        "--presses",
-        type=_count,
-        metavar="N",
-        help="number of ball presses in each calibration; 0 is allowed (default: 40)",
-    )
-    simulated.add_argument(
-        "--references", type=_count, metavar="N", help="number of reference images in each calibration (default: 8)"
-    )
+    text = "number of ball presses in each calibration; 0 is allowed (default: 40)"
+    add_option(simulated, "--presses", "N", text, COUNT)
+    text = "number of reference images in each calibration (default: 8)"
+    add_option(simulated, "--references", "N", text, COUNT)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print the tables and write the files."""
     if args.labels is not None or args.sensor is not None or args.reference is not None:
-        return evaluate_labels.run(_labels_checked(args), _profiles(args))
+        return _labelled(args)
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
-
-
-def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
-    """Return the arguments; exit with a usage error if any cannot be combined with labels."""
-    given = [name for name in SIMULATED if getattr(args, name) is not None]
-    if given:
-        args.usage_error(f"--{given[0]} cannot be used with --labels")
-    if args.images is None or args.labels is None:
-        args.usage_error("--images DIR and --labels CSV must be given together")
-    if (args.calibration is None) == (args.sensor is None):
-        args.usage_error("--labels needs one of --calibration CAL.npz and --sensor SENSOR.yaml")
-    if args.reference is not None and args.sensor is None:
-        args.usage_error("--reference requires --sensor")
-    return args
 
 
 def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
@@ -97,9 +68,11 @@ def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _simulated(args: argparse.Namespace) -> int:
-    presses = _presses(args)
+    presses = PRESSES if args.presses is None else args.presses
+    if 0 < presses < MIN_PRESSES:
+        args.parser.error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
     if args.references == 0:
-        args.usage_error("--references: found 0, expected at least 1")
+        args.parser.error("--references: found 0, expected at least 1")
     plan = Plan(
         sensors=args.sensors or study.sensors(WORKING_SENSORS),
         profiles=_profiles(args),
@@ -111,22 +84,25 @@ def _simulated(args: argparse.Namespace) -> int:
     drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
     with workers(args.cluster) as pool:
         found = evaluate(plan, pool, Progress())
-    timings = time_profiles(plan, found.calibrations[0].calibration, Progress())
-    _publish(args, found.rows, timings, _settings(plan, found))
+    calibration = found.calibrations[0].calibration
+    timings = time_profiles(plan, calibration, Progress())
+    sensors = [
+        {
+            "name": str(name),
+            "model": asdict(name.make().model),
+            "fit": calibration_file.fit_figures(made.calibration.fit),
+            "warnings": list(made.warnings),
+        }
+        for name, made in zip(plan.sensors, found.calibrations, strict=True)
+    ]
+    _publish(args, found.rows, timings, {**asdict(plan), "sensors": sensors})
     if drawn:
-        profile = _best(found.rows)
+        profiles = dict.fromkeys(row.profile for row in found.rows)
+        best = min(profiles, key=lambda p: figures(row for row in found.rows if row.profile == p).me_mm)
         names = [name for name in plan.objects if name in PAPER_OBJECTS] or plan.objects
-        calibration = found.calibrations[0].calibration
-        shown = picture.columns(plan.sensors[0], calibration, profile, names)
-        study.write(args.out / "figure6.png", picture.draw(shown, calibration, profile))
+        shown = picture.columns(plan.sensors[0], calibration, best, names)
+        study.write(args.out / "figure6.png", picture.draw(shown, calibration, best))
     return 0
-
-
-def _presses(args: argparse.Namespace) -> int:
-    presses = PRESSES if args.presses is None else int(args.presses)
-    if 0 < presses < MIN_PRESSES:
-        args.usage_error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
-    return presses
 
 
 def _own(args: argparse.Namespace) -> int:
@@ -139,26 +115,6 @@ def _own(args: argparse.Namespace) -> int:
     return 1 if mistakes else 0
 
 
-def _settings(plan: Plan, found: Evaluation) -> dict[str, Any]:
-    """The plan, with the model and calibration fit of each sensor."""
-    sensors = [
-        {
-            "name": str(name),
-            "model": asdict(name.make().model),
-            "fit": calibration_file.fit_figures(made.calibration.fit),
-            "warnings": list(made.warnings),
-        }
-        for name, made in zip(plan.sensors, found.calibrations, strict=True)
-    ]
-    return {**asdict(plan), "sensors": sensors}
-
-
-def _best(rows: Sequence[Row]) -> str:
-    """The profile with the smallest mean ME."""
-    profiles = list(dict.fromkeys(r.profile for r in rows))
-    return min(profiles, key=lambda p: figures(r for r in rows if r.profile == p).me_mm)
-
-
 def _publish(
     args: argparse.Namespace, rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]
 ) -> None:
@@ -166,11 +122,64 @@ def _publish(
     study.publish(args, "evaluation", report.table(rows, timings), {"": csv_text(Row, rows)}, document)
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 10_000:
-        raise ValueError(text)
-    return value
+def _labelled(args: argparse.Namespace) -> int:
+    """Reconstruct each frame on its own, print how well the results follow the labels, and write rows and plots."""
+    if given := [name for name in SIMULATED if getattr(args, name) is not None]:
+        args.parser.error(f"--{given[0]} cannot be used with --labels")
+    if args.images is None or args.labels is None:
+        args.parser.error("--images DIR and --labels CSV must be given together")
+    if (args.calibration is None) == (args.sensor is None):
+        args.parser.error("--labels needs one of --calibration CAL.npz and --sensor SENSOR.yaml")
+    if args.reference is not None and args.sensor is None:
+        args.parser.error("--reference requires --sensor")
+    table, profiles = read_labels(args.labels, args.images), _profiles(args)
+    calibration = _calibration(args, table)
+    study.make_folder(args.out)
+    drawn = study.will_draw(args, "labels.png")
+    made = {profile: reconstructor(calibration, profile) for profile in profiles}
+    rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}
+    known, mistakes, progress = [], 0, Progress()
+    for k, each in enumerate(table):
+        progress("frames", k, len(table))
+        try:
+            image = read_image(each.path)
+        except DecodeError as error:
+            progress.tell(error)
+            mistakes += 1
+            continue
+        known.append(each.known)
+        for profile, one in made.items():
+            rows[profile].append(labels.found_row(each.path.name, one.step(Frame(0, 0, 0, image))))
+    progress("frames", len(table), len(table))
+    if not known:
+        raise ConfigError(f"{args.labels}: found no readable image, expected at least one in {args.images}")
+    made_of = {profile: labels.agreements(some, known) for profile, some in rows.items()}
+    every = [row for some in rows.values() for row in some]
+    texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
+    study.publish(args, "labels", *texts, labels.document(every, made_of))
+    if drawn:
+        study.write(args.out / "labels.png", labels.draw(rows, known))
+    return 1 if mistakes else 0
 
 
-_count.__name__ = "whole number"  # argparse's messages show it
+def _calibration(args: argparse.Namespace, table: Sequence[LabelledImage]) -> Calibration:
+    """The user's calibration, or one made from SENSOR.yaml and the references, by default the least loaded frame."""
+    if args.calibration is not None:
+        return calibrations.load(args.calibration, store=False)
+    paths = args.reference or [min(table, key=_load).path]
+    if not args.reference:
+        tell(f"using {paths[0]}, the least loaded frame, as the reference")
+    try:
+        references = [read_image(path) for path in paths]
+    except DecodeError as error:
+        raise ConfigError(str(error)) from None
+    result = calibrate(read_sensor(args.sensor), references, allow_loaded_reference=True)
+    for warning in result.warnings:
+        tell(warning)
+    return result.calibration
+
+
+def _load(each: LabelledImage) -> tuple[float, float]:
+    """Sort key for the load: depth, then shear; an unknown depth comes last and an unknown shear counts as 0."""
+    shear = math.hypot(each.known.get("shear_x_mm", 0.0), each.known.get("shear_y_mm", 0.0))
+    return each.known.get("depth_mm", math.inf), shear

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.options import add_option, add_profile, tell
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.daemon.replay import Progress, replay
@@ -26,23 +25,14 @@ SENSOR_ID = "replay"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add = parser.add_argument
-    add(
-        "--to",
-        choices=tuple(FORMATS),
-        required=True,
-        help="output format; mcap and lerobot each need the extra of the same name",
-    )
-    add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
+    text = "output format; mcap and lerobot each need the extra of the same name"
+    parser.add_argument("--to", choices=tuple(FORMATS), required=True, help=text)
+    add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
-    add(
-        "--out",
-        type=Path,
-        metavar="PATH",
-        help="file to create (for ply and lerobot: folder to create; default: next to the recording)",
-    )
+    text = "file to create (for ply and lerobot: folder to create; default: next to the recording)"
+    add_option(parser, "--out", "PATH", text)
     text = "recording that `replay` can read; to export a hand (csv or mcap), give one recording per finger"
-    add("input", type=Path, nargs="+", metavar="RECORDING", help=text)
+    add_option(parser, "input", "RECORDING", text, nargs="+")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     recording = Recording(path)
     for line in (recording.damage, "the recording was cut off; exporting what is whole" if recording.cut_off else ""):
         if line:
-            _report(f"{path}: {line}")
+            tell(f"{path}: {line}")
     content = content_of(path)
     calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
     _, begin = FORMATS[args.to]
@@ -61,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
     try:
-        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=_report)
+        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=tell)
         export.finish()
     finally:
         export.discard()
@@ -75,9 +65,8 @@ def _export_hand(args: argparse.Namespace) -> int:
     if args.to not in ("csv", "mcap"):
         raise ConfigError(f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
-        raise ConfigError(
-            "--calibration: found a calibration for several recordings, expected none; each recording contains its own"
-        )
+        expected = "expected none; each recording contains its own"
+        raise ConfigError(f"--calibration: found a calibration for several recordings, {expected}")
     if args.out is None:
         raise ConfigError("--out: found no file name, expected the name of a new file to export several recordings to")
     if args.to == "mcap":
@@ -100,9 +89,15 @@ def _export_hand(args: argparse.Namespace) -> int:
 
 def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
     require_mcap()
+    from tacshade_edge.factories.hand_recordings import recorded_settings
     from tacshade_edge.storage.exports.mcap_export import McapExport
 
-    return McapExport(out, sensor_id=_sensor_id(content), calibration=calibration, profile=profile, content=content)
+    try:
+        settings = recorded_settings(content)
+    except ConfigError:  # the settings of another version of this program
+        settings = None
+    sensor_id = SENSOR_ID if settings is None else settings.sensor_id
+    return McapExport(out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content)
 
 
 def _csv(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
@@ -145,23 +140,7 @@ def _beside(recording: Path, to: str) -> Path:
 
 def _calibration(recording: Path, given: Path | None) -> Calibration:
     """Return the given calibration, or else the recording's own. Raises ConfigError if there is neither."""
-    if given is not None:
-        return calibrations.load(given)
-    if (own := calibrations.of_recording(recording)) is None:
+    own = calibrations.of_recording(recording) if given is None else calibrations.load(given)
+    if own is None:
         raise ConfigError(f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz")
     return own
-
-
-def _sensor_id(content: dict[str, bytes]) -> str:
-    """Return the sensor's id in the recording's settings, or `SENSOR_ID` if they are missing or unreadable."""
-    from tacshade_edge.factories.hand_recordings import recorded_settings
-
-    try:
-        settings = recorded_settings(content)
-    except ConfigError:  # the settings of another version of this program
-        return SENSOR_ID
-    return SENSOR_ID if settings is None else settings.sensor_id
-
-
-def _report(line: str) -> None:
-    print(f"tacshade-edge: {line}", file=sys.stderr)

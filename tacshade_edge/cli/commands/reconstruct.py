@@ -5,20 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.options import add_option, add_profile
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.atomic_files import disk_errors
+from tacshade_edge.storage.images import SUFFIXES, read_image
 from tacshade_edge.storage.pictures import write_panel
 from tacshade_edge.storage.runs.run_files import summary
 from tacshade_edge.types import Frame, Reconstruction
@@ -26,35 +27,34 @@ from tacshade_edge.types import Frame, Reconstruction
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for summary.json and one .npz file per image"
-    )
+    add_option(parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True)
     parser.add_argument("--plot", action="store_true", help="also write a picture of each image's height map")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument("images", type=Path, nargs="+", metavar="IMG")
+    add_option(
+        parser, "images", "IMG", "image, or folder whose images are taken in the order of their names", nargs="+"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Reconstruct every image; report each unreadable or invalid one, continue, and then return 1."""
-    stems = [path.stem for path in args.images]
-    twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
-    if twice is not None:
-        raise ConfigError(
-            f"{twice}: another image is also named {twice.stem}; the results of one would overwrite those of the other"
-        )
+    images, stems = _images(args.images), set[str]()
+    for path in images:
+        if path.stem in stems:
+            why = "the results of one would overwrite those of the other"
+            raise ConfigError(f"{path}: another image is also named {path.stem}; {why}")
+        stems.add(path.stem)
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    records, unreadable, invalid = [], 0, 0
-    progress = Progress()
-    try:
+    records, unreadable, invalid, progress = [], 0, 0, Progress()
+    with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
-        for index, path in enumerate(args.images):
+        for index, path in enumerate(images):
             try:
                 image = read_image(path)
             except DecodeError as error:
-                progress.say(f"tacshade-edge: {error}")
+                progress.tell(error)
                 unreadable += 1
                 continue
             result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
@@ -63,31 +63,39 @@ def run(args: argparse.Namespace) -> int:
                 write_panel(args.out / f"{path.stem}.png", image, result, calibration.geometry)
             records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
             if not result.valid:  # its record reports this too, and its height is 0 everywhere
-                progress.say(f"tacshade-edge: {path}: invalid: {text_of(result.reason)}")
+                progress.tell(f"{path}: invalid: {text_of(result.reason)}")
                 invalid += 1
-            progress("images", index + 1, len(args.images))
+            progress("images", index + 1, len(images))
         text = json.dumps(records, indent=2) + "\n"
         (args.out / "summary.json").write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DeviceError(f"{error.filename or args.out}: cannot write it: {error.strerror or error}") from None
     progress.end()
     if args.json:
         print(text, end="")
     else:
-        touched = sum(record["contact"] for record in records)
-        measured = len(records) - invalid
-        print(
-            f"{args.out}: {measured} of {len(args.images)} images reconstructed, {touched} in contact, "
-            f"{invalid} invalid, {unreadable} unreadable"
-        )
+        touched, measured = sum(record["contact"] for record in records), len(records) - invalid
+        found = f"{measured} of {len(images)} images reconstructed, {touched} in contact"
+        print(f"{args.out}: {found}, {invalid} invalid, {unreadable} unreadable")
     return 1 if invalid or unreadable else 0
+
+
+def _images(given: Sequence[Path]) -> list[Path]:
+    """Return the given images, and for a folder those in it. Raises ConfigError for a folder without any."""
+    images: list[Path] = []
+    for path in given:
+        if not path.is_dir():
+            images.append(path)
+            continue
+        found = sorted(each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and each.is_file())
+        if not found:
+            raise ConfigError(f"{path}: found no image, expected at least one in this folder")
+        images += found
+    return images
 
 
 def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
     """Reconstruct a frame and return the result with the time of each stage and in total, in ms."""
     elapsed_ms: dict[str, float] = {}
-    last = time.perf_counter_ns()
-    start = last
+    start = last = time.perf_counter_ns()
 
     def mark(stage: str) -> None:
         nonlocal last
@@ -102,12 +110,12 @@ def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, d
 
 def _write(path: Path, result: Reconstruction) -> None:
     height = result.height
-    arrays: dict[str, Any] = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
+    more = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
     untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
     with path.open("wb") as stream:
         np.savez_compressed(
             stream,
-            **{name: array for name, array in arrays.items() if array is not None},
+            **{name: array for name, array in more.items() if array is not None},
             height_mm=height.height_mm,
             contact=height.contact,
             untrusted=untrusted,

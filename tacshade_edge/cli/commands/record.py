@@ -8,11 +8,9 @@ import signal
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
-from tacshade_edge.cli.commands.replay import positive
+from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor, number
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
@@ -27,26 +25,14 @@ STATUS = "status/recorder"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add = parser.add_argument
-    add(
-        "--config",
-        type=Path,
-        default=DEFAULT_CONFIG,
-        metavar="FILE",
-        help="the daemon's settings (default: %(default)s)",
-    )
+    add_config(parser, "the daemon's settings")
     add_sensor(parser)
-    add(
-        "--name", type=_name, metavar="NAME", help=f"name of the recording: {RECORD_NAME_RULE} (default: date and time)"
-    )
-    add("--format", choices=("folder", "mcap"), default="folder", help="how to store the frames (default: %(default)s)")
-    add(
-        "--seconds",
-        type=_seconds,
-        required=True,
-        metavar="N",
-        help="number of seconds to record; Ctrl-C stops the recording earlier",
-    )
+    add_option(parser, "--name", "NAME", f"name of the recording: {RECORD_NAME_RULE} (default: date and time)", _name)
+    text = "how to store the frames (default: %(default)s)"
+    parser.add_argument("--format", choices=("folder", "mcap"), default="folder", help=text)
+    seconds = number(f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX)
+    text = "number of seconds to record; Ctrl-C stops the recording earlier"
+    add_option(parser, "--seconds", "N", text, seconds, required=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,14 +40,10 @@ def run(args: argparse.Namespace) -> int:
     document = load(args.config, args.sensor)
     links.check_broker_files(document)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    caller = MqttCaller(
-        links.broker_address(document),
-        sensor_id=document.settings.sensor_id,
-        verb="record",
-        watched=(STATUS, "state"),
-    )
+    for signal_number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(signal_number, lambda *_: stop.set())
+    address, sensor_id = links.broker_address(document), document.settings.sensor_id
+    caller = MqttCaller(address, sensor_id=sensor_id, verb="record", watched=(STATUS, "state"))
     try:
         caller.start()
         name = {} if args.name is None else {"name": args.name}
@@ -84,15 +66,6 @@ def _name(text: str) -> str:
     if not re.match(RECORD_NAME, text):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected {RECORD_NAME_RULE}")
     return text
-
-
-def _seconds(text: str) -> float:
-    if (value := positive(text)) > RECORD_S_MAX:
-        raise argparse.ArgumentTypeError(f"found {text}, expected at most {RECORD_S_MAX}")
-    return value
-
-
-_seconds.__name__ = "number"  # argparse's messages show it
 
 
 def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
@@ -124,9 +97,8 @@ def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
     if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"
-    raise DeviceError(
-        f"{folder}: the daemon is {state} and did not report how the recording ended; the recorded frames are kept"
-    )
+    found = f"the daemon is {state} and did not report how the recording ended"
+    raise DeviceError(f"{folder}: {found}; the recorded frames are kept")
 
 
 def _over(status: dict[str, Any]) -> bool:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import re
 import signal
-import sys
-from collections.abc import Callable
-from pathlib import Path
 
-from tacshade_edge.cli.shared.addresses import address
-from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_option, add_profile, address, tell
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
@@ -28,69 +23,35 @@ from tacshade_edge.storage.runs.run_files import RunWriter
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add = parser.add_argument
-    add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
+    add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
-    add("--out", type=Path, metavar="DIR", help="folder for heights.bin, clouds.bin and summary.json")
-    add(
-        "--against",
-        type=Path,
-        metavar="DIR",
-        help="compare the run in --out with this earlier run; exit with status 1 if they differ",
-    )
-    add(
-        "--fps",
-        type=positive,
-        metavar="N",
-        help="frame rate to assume for a recording without time stamps (default: 30)",
-    )
-    add(
-        "--speed",
-        type=positive,
-        metavar="FACTOR",
-        help="playback speed as a multiple of the recorded speed (default: as fast as possible)",
-    )
-    add(
-        "--play",
-        action="store_true",
-        help="let the dashboard control playback (pause, step, seek) until you press Ctrl-C",
-    )
-    add(
-        "--loop",
-        type=_count,
-        default=1,
-        metavar="TIMES",
-        help="number of times to play the recording; 0 repeats it until you press Ctrl-C (default: 1)",
-    )
-    add("--mqtt", type=address(), metavar="HOST:PORT", help="publish to this broker as `run` does")
-    add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker in these settings")
-    add(
-        "--sensor-id",
-        type=_sensor_id,
-        default="replay",
-        metavar="ID",
-        help="publish on topics under tacshade/ID (default ID: replay)",
-    )
-    add(
-        "input",
-        type=Path,
-        nargs="?",
-        metavar="INPUT",
-        help="video file or folder of images; omit INPUT if you only want to compare two runs",
-    )
-    parser.set_defaults(refuse=parser.error)
+    add_option(parser, "--out", "DIR", "folder for heights.bin, clouds.bin and summary.json")
+    text = "compare the run in --out with this earlier run; exit with status 1 if they differ"
+    add_option(parser, "--against", "DIR", text)
+    text = "frame rate to assume for a recording without time stamps (default: 30)"
+    add_option(parser, "--fps", "N", text, POSITIVE)
+    text = "playback speed as a multiple of the recorded speed (default: as fast as possible)"
+    add_option(parser, "--speed", "FACTOR", text, POSITIVE)
+    text = "let the dashboard control playback (pause, step, seek) until you press Ctrl-C"
+    parser.add_argument("--play", action="store_true", help=text)
+    text = "number of times to play the recording; 0 repeats it until you press Ctrl-C (default: 1)"
+    add_option(parser, "--loop", "TIMES", text, COUNT, default=1)
+    add_option(parser, "--mqtt", "HOST:PORT", "publish to this broker as `run` does", address())
+    add_option(parser, "--config", "FILE", "publish as `run` does, to the broker in these settings")
+    text = "publish on topics under tacshade/ID (default ID: replay)"
+    add_option(parser, "--sensor-id", "ID", text, _sensor_id, default="replay")
+    text = "video file or folder of images; omit INPUT if you only want to compare two runs"
+    add_option(parser, "input", "INPUT", text, nargs="?")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay a recording, compare two runs, or both; return 1 if the runs differ."""
-    _check(args, args.refuse)
-    code = 0
-    if args.input is not None:
-        code = _replay(args)
+    if mistake := _mistake(args):
+        args.parser.error(mistake)
+    code = 0 if args.input is None else _replay(args)
     if args.against is None:
         return code
-    difference = first_difference(args.out, args.against)
-    if difference:
+    if difference := first_difference(args.out, args.against):
         print(f"{args.out} differs from {args.against}: {difference}")
         for line in figures(args.out, args.against):
             print(f"  {line}")
@@ -99,44 +60,43 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
-    """Check the combinations of arguments that argparse cannot; `refuse` exits with 2."""
-    if args.against is not None and args.out is None:
-        refuse("--against: found no --out DIR to compare with, expected both")
+def _mistake(args: argparse.Namespace) -> str:
+    """Return what is wrong with a combination of arguments that argparse cannot check."""
+    out, against, has_broker = args.out, args.against, args.mqtt is not None or args.config is not None
+    if against is not None and out is None:
+        return "--against: found no --out DIR to compare with, expected both"
     if args.input is None:
-        if args.against is None:
-            refuse("expected INPUT, or --out DIR and --against DIR to compare two runs")
-        return
+        return "" if against is not None else "expected INPUT, or --out DIR and --against DIR to compare two runs"
     if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
-        refuse(f"expected --calibration CAL.npz: {args.input} has no {CALIBRATION_NAME} of its own")
+        return f"expected --calibration CAL.npz: {args.input} has no {CALIBRATION_NAME} of its own"
     if args.mqtt is not None and args.config is not None:
-        refuse("--mqtt and --config both name a broker, expected one of them")
-    if args.out is None and args.mqtt is None and args.config is None:
-        refuse("expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both")
-    if args.play and (args.out is not None or (args.mqtt is None and args.config is None) or args.loop != 1):
-        refuse("--play serves a dashboard, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop")
-    if args.loop == 0 and args.out is not None:
-        refuse("--loop 0 never ends and would fill --out DIR, expected at least 1")
-    if args.out is not None and args.against is not None and args.out.resolve() == args.against.resolve():
-        refuse("--out and --against name the same folder, which the replay would overwrite")
+        return "--mqtt and --config both name a broker, expected one of them"
+    if out is None and not has_broker:
+        return "expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both"
+    if args.play and (out is not None or not has_broker or args.loop != 1):
+        return "--play serves a dashboard, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop"
+    if args.loop == 0 and out is not None:
+        return "--loop 0 never ends and would fill --out DIR, expected at least 1"
+    if out is not None and against is not None and out.resolve() == against.resolve():
+        return "--out and --against name the same folder, which the replay would overwrite"
+    return ""
 
 
 def _replay(args: argparse.Namespace) -> int:
-    broker = _broker(args)
+    broker, given = _broker(args), args.calibration
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
-        _report(f"{args.input}: the recording was cut off; replaying what was written until then")
+        tell(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
-        _report(recording.damage)
-    given = args.calibration
+        tell(recording.damage)
     calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
-    assert calibration is not None  # `_check` has checked it
+    assert calibration is not None  # `_mistake` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
-    progress, shown = Progress(), Shown()
+    progress, shown, interrupted = Progress(), Shown(), False
     sinks: list[Deliver] = []
-    interrupted = False
+    played: Recording | Playback = recording
     with contextlib.ExitStack() as stack:
         if broker is not None:
             wait = args.speed is None and not args.play
@@ -145,40 +105,33 @@ def _replay(args: argparse.Namespace) -> int:
             link.start()
             sinks.append(link.add)
             if args.play:
-                player = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback)
-                link.obey(player)
+                played = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback)
+                link.obey(played)
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)
             sinks.append(writer.add)
         # `progress` counts a frame after all sinks, so add one. With --play, the user may repeat frames: no total.
-        total = None if args.play else recording.frames
+        total, speed = (None, None) if args.play else (recording.frames, args.speed)
         sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
         try:
-            played = player if args.play else recording
-            speed = None if args.play else args.speed
-            replay(
-                played,
-                reconstructor,
-                sinks,
-                progress,
-                speed=speed,
-                undecodable=lambda line: shown.say(f"tacshade-edge: {line}"),
-            )
+            replay(played, reconstructor, sinks, progress, speed=speed, undecodable=shown.tell)
         except KeyboardInterrupt:
             interrupted = True
         shown.end()
         if args.out is not None and not interrupted:
             writer.finish(progress.as_dict())
-    print(_line(args, progress))
+    print(
+        f"{args.input}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid, "
+        f"{progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
+        f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
+    )
     if broker is not None:
-        counters = link.counters()
-        print(
-            ", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused"))
-        )
+        counts = link.counters()
+        print(", ".join(f"{counts[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused")))
     if interrupted:
         if args.out is not None:
-            _report(f"{args.out}: stopped before the end and wrote nothing")
+            tell(f"{args.out}: stopped before the end and wrote nothing")
         return 0 if args.loop == 0 or args.play else 130
     return 1 if progress.undecodable else 0
 
@@ -192,32 +145,6 @@ def _broker(args: argparse.Namespace) -> BrokerAddress | None:
         return None
     host, port = args.mqtt
     return BrokerAddress(host=host, port=port, username=None, password=None, tls_ca=None)
-
-
-def _line(args: argparse.Namespace, progress: Progress) -> str:
-    return (
-        f"{args.input}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid, "
-        f"{progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
-        f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
-    )
-
-
-def _report(line: str) -> None:
-    print(f"tacshade-edge: {line}", file=sys.stderr)
-
-
-def positive(text: str) -> float:
-    """Return a number above 0 and at most a million, for argparse."""
-    value = float(text)
-    if not (math.isfinite(value) and 0 < value <= 1e6):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number above 0 and at most a million")
-    return value
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and len(text) < 10):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0")
-    return int(text)
 
 
 def _sensor_id(text: str) -> str:

@@ -6,12 +6,11 @@ import argparse
 import os
 import signal
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tacshade_edge.cli import EXIT_OK
-from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+from tacshade_edge.cli.shared.options import add_config
 from tacshade_edge.daemon.app import ALONE, App, Siblings
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.factories import calibrations, checks, sources
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add_verbosity(parser)
-    parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings file (default: %(default)s)"
-    )
+    add_config(parser)
 
 
 def run(args: argparse.Namespace) -> int:

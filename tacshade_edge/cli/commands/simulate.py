@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import io
 import itertools
-import math
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 
-from tacshade_edge.cli.commands.simulate_pad import write_pad
+from tacshade_edge.cli.shared.options import COUNT, FINITE, add_option
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import from_seven
+from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
-from tacshade_edge.types import U8
+from tacshade_edge.storage.atomic_files import disk_errors
+from tacshade_edge.storage.images import png
+from tacshade_edge.storage.tables import poses_table, presses
+from tacshade_edge.studies.parallel import reported_map, workers
 
 REFERENCES = 8
 """Number of reference images in a calibration set."""
-
 PRESS_KEYS = (
     *("depth_mm", "x_mm", "y_mm", "rotation_deg", "tilt_x_deg", "tilt_y_deg"),
     *("drag_x_mm", "drag_y_mm", "twist_deg"),
@@ -40,175 +44,106 @@ calibration: calibration.npz
 source: {kind: simulated}
 recorder: {folder: recordings}
 """
-
 _SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
 _PAD_SEED = 500_000
+_TRUTH_STEP_MM = 0.25
+# Standard deviations of the noise in POSES_NOISY.csv: along each axis, and about a random one through the skin's apex.
+_NOISE_MM, _NOISE_DEG = 0.3, 1.0
+# Limits of `--pad-varied`: how much deeper or shallower, and how far tilted, a press may be.
+_VARIED_MM, _VARIED_DEG = 0.4, 6.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for images, ground truth (.npz) and scenes.csv")
-    parser.add_argument(
-        "--objects",
-        default=",".join(PAPER_OBJECTS),
-        metavar="NAME,...",
-        help=f"one or more of {', '.join(OBJECTS)}, none (default: the paper's five)",
-    )
-    parser.add_argument(
-        "--depth", type=_number, nargs="+", default=[3.0], metavar="MM", help="press depths in mm (default: 3)"
-    )
-    parser.add_argument(
-        "--position",
-        type=_number,
-        nargs=2,
-        action="append",
-        metavar=("X", "Y"),
-        help="the object's position in mm; may be repeated (default: 0 0)",
-    )
-    parser.add_argument(
-        "--rotation",
-        type=_number,
-        nargs="+",
-        default=[0.0],
-        metavar="DEG",
-        help="rotation of the object about z in degrees (default: 0)",
-    )
-    for name, what in (
-        ("drag", "distance in mm to drag the object along the skin after contact"),
-        ("tilt", "tilt of the object in degrees, first about x, then about y"),
+    add_option(parser, "--out", "DIR", "folder for images, ground truth (.npz) and scenes.csv")
+    text = f"one or more of {', '.join(OBJECTS)}, none (default: the paper's five)"
+    add_option(parser, "--objects", "NAME,...", text, str, default=",".join(PAPER_OBJECTS))
+    for name, metavar, default, text in (
+        ("--depth", "MM", 3.0, "press depths in mm (default: 3)"),
+        ("--rotation", "DEG", 0.0, "rotation of the object about z in degrees (default: 0)"),
+        ("--twist", "DEG", 0.0, "rotation of the object about z in degrees after contact (default: 0)"),
     ):
-        parser.add_argument(
-            f"--{name}",
-            type=_number,
-            nargs=2,
-            action="append",
-            metavar=("X", "Y"),
-            help=f"{what}; may be repeated (default: 0 0)",
-        )
-    parser.add_argument(
-        "--twist",
-        type=_number,
-        nargs="+",
-        default=[0.0],
-        metavar="DEG",
-        help="rotation of the object about z in degrees after contact (default: 0)",
+        add_option(parser, name, metavar, text, FINITE, nargs="+", default=[default])
+    for name, text in (
+        ("--position", "the object's position in mm"),
+        ("--drag", "distance in mm to drag the object along the skin after contact"),
+        ("--tilt", "tilt of the object in degrees, first about x, then about y"),
+    ):
+        text += "; may be repeated (default: 0 0)"
+        parser.add_argument(name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text)
+    text = "write a calibration set (images of the untouched skin and of ball presses) to this folder"
+    add_option(parser, "--calibration-set", "DIR", text)
+    add_option(
+        parser, "--presses", "N", "number of ball presses in the calibration set (default: 40)", COUNT, default=40
     )
-    parser.add_argument(
-        "--calibration-set",
-        type=Path,
-        metavar="DIR",
-        help="write a calibration set (images of the untouched skin and of ball presses) to this folder",
-    )
-    parser.add_argument(
-        "--presses",
-        type=_count,
-        default=40,
-        metavar="N",
-        help="number of ball presses in the calibration set (default: 40)",
-    )
-    parser.add_argument(
-        "--pad",
-        type=Path,
-        metavar="DIR",
-        help="simulate presses that cover a touchpad, and write their images, poses and ground truth to this folder",
-    )
-    parser.add_argument(
-        "--pad-step",
-        type=_number,
-        default=4.0,
-        metavar="MM",
-        help="distance between presses on the touchpad in mm (default: 4)",
-    )
-    parser.add_argument(
-        "--pad-depth",
-        type=_number,
-        default=2.7,
-        metavar="MM",
-        help="press depth in mm below the tops of the touchpad's bulges (default: 2.7)",
-    )
+    text = "simulate presses that cover a touchpad, and write their images, poses and ground truth to this folder"
+    add_option(parser, "--pad", "DIR", text)
+    text = "distance between presses on the touchpad in mm (default: 4)"
+    add_option(parser, "--pad-step", "MM", text, FINITE, default=4.0)
+    text = "press depth in mm below the tops of the touchpad's bulges (default: 2.7)"
+    add_option(parser, "--pad-depth", "MM", text, FINITE, default=2.7)
     parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt from press to press")
-    parser.add_argument(
-        "--seed", type=_count, default=0, metavar="N", help="random seed for the noise and the presses (default: 0)"
-    )
-    parser.add_argument(
-        "--sensor-seed",
-        type=_count,
-        metavar="N",
-        help="simulate another sensor of the family, drawn at random with this seed",
-    )
-    parser.set_defaults(usage_error=parser.error)
+    add_option(parser, "--seed", "N", "random seed for the noise and the presses (default: 0)", COUNT, default=0)
+    add_option(parser, "--sensor-seed", "N", "simulate another sensor of the family, drawn with this seed", COUNT)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the requested folders, and print a summary line for each."""
     if args.out is None and args.calibration_set is None and args.pad is None:
-        args.usage_error("expected --out DIR, --calibration-set DIR or --pad DIR")
+        args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
     sensor = SimulatedSensor(model)
-    try:
+    with disk_errors(Path()):
         if args.calibration_set is not None:
             _write_calibration_set(sensor, args.calibration_set, args.presses, args.seed)
         if args.out is not None:
             _write_scenes(sensor, args)
         if args.pad is not None:
-            write_pad(
-                model,
-                args.pad,
-                step_mm=args.pad_step,
-                depth_mm=args.pad_depth,
-                varied=args.pad_varied,
-                seed=args.seed,
-                noise_seed=args.seed * _SEED_STRIDE + _PAD_SEED,
-                report=Progress(),
-            )
-    except OSError as error:
-        raise DeviceError(f"{error.filename}: cannot write it: {error.strerror}") from error
+            write_pad(model, args.pad, args.pad_step, args.pad_depth, args.pad_varied, args.seed)
     return 0
 
 
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
+def _write_sensor(model: SensorModel, folder: Path) -> None:
+    distance = {} if model.camera_distance_mm is None else {"camera_distance_mm": model.camera_distance_mm}
+    keys = {
+        "skin_radius_mm": model.skin_radius_mm,
+        **distance,
+        "visible_half_angle_deg": model.visible_half_angle_deg,
+        "polarity": "bright",
+    }
+    (folder / "SENSOR.yaml").write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 2**31:
-        raise ValueError(text)
-    return value
+def _write_references(sensor: SimulatedSensor, folder: Path, seed: int) -> None:
+    for k in range(REFERENCES):
+        (folder / f"reference_{k:02d}.png").write_bytes(png(sensor.frame((), seed * _SEED_STRIDE + k).image))
 
 
-_number.__name__, _count.__name__ = "number", "whole number"  # argparse's messages show them
+def _calibrate(at: str, more: str) -> str:
+    """Return the command that calibrates with the references in a folder, for a shell."""
+    words = f"calibrate --sensor {at}/SENSOR.yaml --reference {at}/reference_*.png"
+    return f"  tacshade-edge {words}{more} --out {at}/calibration.npz"
 
 
 def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     model = sensor.model
-    keys: dict[str, Any] = {
-        "skin_radius_mm": model.skin_radius_mm,
-        **({} if model.camera_distance_mm is None else {"camera_distance_mm": model.camera_distance_mm}),
-        "visible_half_angle_deg": model.visible_half_angle_deg,
-        "polarity": "bright",
-    }
-    (folder / "SENSOR.yaml").write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
-    for k in range(REFERENCES):
-        _write_png(folder / f"reference_{k:02d}.png", sensor.frame((), seed * _SEED_STRIDE + k).image)
-    rows = []
-    progress = Progress()
+    _write_sensor(model, folder)
+    _write_references(sensor, folder, seed)
+    rows, progress = [], Progress()
     for k, (press, radius_mm) in enumerate(ball_presses(model, count, seed)):
         name = f"press_{k:03d}.png"
-        _write_png(folder / name, _simulate(sensor, (press,), seed * _SEED_STRIDE + REFERENCES + k).image)
-        rows.append((name, "ball", radius_mm, press.depth_mm, press.x_mm, press.y_mm))
+        image = _simulate(sensor, (press,), seed * _SEED_STRIDE + REFERENCES + k).image
+        (folder / name).write_bytes(png(image))
+        rows.append((name, presses.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         progress("presses", k + 1, count)
-    _write_csv(folder / "PRESSES.csv", ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"), rows)
+    _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
     print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
     if model == SensorModel():  # the one that `source: {kind: simulated}` simulates
         (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
         at = shlex.quote(str(folder))
-        words = f"--sensor {at}/SENSOR.yaml --reference {at}/reference_*.png --presses {at}/PRESSES.csv"
-        print(f"next:\n  tacshade-edge calibrate {words} --out {at}/calibration.npz")
+        print("next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):")
+        print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
         print(f"  tacshade-edge run --config {at}/config.yaml")
 
 
@@ -218,20 +153,18 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
         if name not in OBJECTS and name != "none":
             raise ConfigError(f"--objects: found {name!r}, expected 'none' or one of {', '.join(OBJECTS)}")
     nowhere = [(0.0, 0.0)]
-    ways = itertools.product(
-        args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist
-    )
-    presses = [(depth, x, y, rotation, *tilt, *drag, twist) for depth, (x, y), rotation, tilt, drag, twist in ways]
-    scenes = [(name, each) for name in names for each in (presses if name != "none" else [(0.0,) * len(PRESS_KEYS)])]
+    places, tilts, drags = (given or nowhere for given in (args.position, args.tilt, args.drag))
+    ways = itertools.product(args.depth, places, args.rotation, tilts, drags, args.twist)
+    pressed = [(depth, x, y, rotation, *tilt, *drag, twist) for depth, (x, y), rotation, tilt, drag, twist in ways]
+    scenes = [(name, each) for name in names for each in (pressed if name != "none" else [(0.0,) * len(PRESS_KEYS)])]
     args.out.mkdir(parents=True, exist_ok=True)
-    rows = []
-    progress = Progress()
+    rows, progress = [], Progress()
     for k, (name, numbers) in enumerate(scenes):
         known = dict(zip(PRESS_KEYS, numbers, strict=True))
-        pressed = () if name == "none" else (Press(OBJECTS[name](), **known),)
-        frame = _simulate(sensor, pressed, args.seed * _SEED_STRIDE + k)
+        objects = () if name == "none" else (Press(OBJECTS[name](), **known),)
+        frame = _simulate(sensor, objects, args.seed * _SEED_STRIDE + k)
         stem = f"{k:03d}_{name}"
-        _write_png(args.out / f"{stem}.png", frame.image)
+        (args.out / f"{stem}.png").write_bytes(png(frame.image))
         depth_max_mm = _write_truth(args.out / f"{stem}.npz", frame, name, known)
         rows.append((f"{stem}.png", name, *numbers, round(depth_max_mm, 4)))
         progress("images", k + 1, len(scenes))
@@ -239,9 +172,9 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
 
 
-def _simulate(sensor: SimulatedSensor, presses: tuple[Press, ...], noise_seed: int) -> SimulatedFrame:
+def _simulate(sensor: SimulatedSensor, pressed: tuple[Press, ...], noise_seed: int) -> SimulatedFrame:
     try:
-        return sensor.frame(presses, noise_seed)
+        return sensor.frame(pressed, noise_seed)
     except ValueError as error:
         raise ConfigError(f"cannot simulate: {error}") from error
 
@@ -264,18 +197,75 @@ def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[st
         "object": name,
         **known,
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **content)
-    path.write_bytes(buffer.getvalue())
+    _write_npz(path, content)
     return truth.depth_max_mm
 
 
-def _write_png(path: Path, image: U8) -> None:
-    path.write_bytes(cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, 3))[1].tobytes())
+def _write_npz(path: Path, content: Mapping[str, Any]) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **content)
+    path.write_bytes(buffer.getvalue())
 
 
-def _write_csv(path: Path, header: tuple[str, ...], rows: Sequence[Sequence[object]]) -> None:
+def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    model: SensorModel
+    pose: tuple[float, ...]
+    noise_seed: int
+
+
+def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, varied: bool, seed: int) -> None:
+    """Press all over the touchpad of the paper's Fig. 7: write images, poses, references and the truth.
+
+    POSES.csv has the exact poses, POSES_NOISY.csv noisy ones, and PAD.npz the true surface. Raises OSError.
+    """
+    pad, radius_mm = pads.touchpad(), model.skin_radius_mm
+    if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
+        raise ConfigError(
+            f"--pad-step, --pad-depth: found a step of {step_mm:g} mm and a depth of {depth_mm:g} mm, "
+            f"expected a step of 0.5 to 20 mm and a depth above 0 and up to {pads.MAX_DEPTH_MM:g} mm"
+        )
+    poses = pads.scan(pad, step_mm, depth_mm, radius_mm)
+    if varied:
+        poses = pads.varied(poses, radius_mm, _VARIED_MM, _VARIED_DEG, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide
+    _write_references(_sensor(model), folder, seed)
+    names = [f"press_{k:04d}.png" for k in range(len(poses))]
+    noise_seed = seed * _SEED_STRIDE + _PAD_SEED
+    tasks = [_Task(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
+    with workers() as pool:
+        for name, data in zip(names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True):
+            (folder / name).write_bytes(data)
+    noisy = pads.disturbed(poses, radius_mm, _NOISE_MM, _NOISE_DEG, seed)
+    for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
+        rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
+        _write_csv(folder / table, poses_table.HEADER, rows)
+    bars = [(b.x0_mm, b.y0_mm, b.x1_mm, b.y1_mm, b.width_mm) for b in pad.bulges if isinstance(b, pads.Bar)]
+    arcs = [b for b in pad.bulges if isinstance(b, pads.Arc) and b.to_deg - b.from_deg >= 360]
+    circles = [(a.x_mm, a.y_mm, a.radius_mm, a.width_mm) for a in arcs]
+    raster = {"z_mm": pads.raster(pad, _TRUTH_STEP_MM), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": _TRUTH_STEP_MM}
+    _write_npz(folder / "PAD.npz", {**raster, "bars_mm": np.array(bars), "circles_mm": np.array(circles)})
+    print(f"{folder}: {len(poses)} presses, POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml")
+    at = shlex.quote(str(folder))
+    print(f"next:\n{_calibrate(at, '')}")
+    print(f"  tacshade-edge stitch --calibration {at}/calibration.npz --poses {at}/POSES.csv", end=" ")
+    print(f"--truth {at}/PAD.npz --out {at}/map")
+
+
+@functools.cache
+def _sensor(model: SensorModel) -> SimulatedSensor:
+    return SimulatedSensor(model)
+
+
+def _image(task: _Task) -> bytes:
+    """Return the image of a press as the bytes of a PNG file."""
+    shape = pads.touchpad().under(from_seven(task.pose), task.model.skin_radius_mm)
+    return png(_sensor(task.model).frame((Press(shape, 0.0, 0.0, 0.0),), task.noise_seed).image)

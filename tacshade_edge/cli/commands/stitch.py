@@ -1,26 +1,32 @@
-"""``tacshade-edge stitch``: combines images and the robot's poses, or a recording of both, into one large map."""
+"""``tacshade-edge stitch``: combines images and the robot's poses, or a recording of both, into one large map.
+
+With ``--find-flange``, it finds the sensor's pose on the flange and the delay of its frames instead.
+"""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.shared import find_flange
-from tacshade_edge.cli.shared.profile_option import add_profile
+import numpy as np
+
+from tacshade_edge.cli.shared.options import add_option, add_profile, tell
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.stitching.flange import FoundFlange, find_flange
 from tacshade_edge.core.stitching.flange_equations import ContactFrame
+from tacshade_edge.core.stitching.flange_motions import delay_seen, unseen
+from tacshade_edge.core.stitching.refinement import correction
 from tacshade_edge.core.stitching.stitcher import StitchedMap
-from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
+from tacshade_edge.core.stitching.surface_map import STEP_MM
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.reasons import text_of
-from tacshade_edge.rigid import from_seven
+from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.stitching.map_files import press_record, write_map
+from tacshade_edge.storage.stitching.map_files import FLANGE, press_record, write_flange, write_map
 from tacshade_edge.storage.tables.poses_table import read_poses
 from tacshade_edge.studies.stitch.presses import (
     Press,
@@ -31,134 +37,91 @@ from tacshade_edge.studies.stitch.presses import (
     read_recording,
     stitcher_of,
 )
-from tacshade_edge.studies.stitch.truth import KnownSurface, comparison_png, radius_average, read_known, score
-from tacshade_edge.types import Calibration
+from tacshade_edge.studies.stitch.truth import comparison_png, radius_average, read_known, score
 
-EXIT_FAILED = 1
+PRESSES_MIN = 12
+START_MM, START_DEG = 15.0, 15.0
+"""Largest plausible distance and rotation from the start; a pose found farther away is wrong."""
+_PLAN = "(see the plan in docs/how-to/stitching.md)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--poses", type=Path, metavar="POSES.csv", help="table of images and the robot's poses (base_T_flange)"
-    )
-    source.add_argument(
-        "--recording",
-        type=Path,
-        metavar="INPUT",
-        help="recording that `replay` can read; each settled contact counts as one press",
-    )
+    add_option(source, "--poses", "POSES.csv", "table of images and the robot's poses (base_T_flange)")
+    text = "recording that `replay` can read; each settled contact counts as one press"
+    add_option(source, "--recording", "INPUT", text)
     add_profile(parser, default="accurate")  # a map may take longer
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder for map.npz, map.ply, map.png, map.json and preview.png",
-    )
-    parser.add_argument(
-        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface and draw both"
-    )
-    parser.add_argument(
-        "--find-flange",
-        action="store_true",
-        help=(
-            "instead of a map, compute flange_T_sensor and the frame delay from overlapping presses "
-            "and write them to flange.json"
-        ),
-    )
+    text = "folder for map.npz, map.ply, map.png, map.json and preview.png"
+    add_option(parser, "--out", "DIR", text, required=True)
+    add_option(parser, "--truth", "PAD.npz", "score the map against this known surface and draw both")
+    text = "instead of a map, find flange_T_sensor and the frame delay from overlapping presses and write flange.json"
+    parser.add_argument("--find-flange", action="store_true", help=text)
     parser.add_argument("--json", action="store_true", help="print map.json (with --find-flange: flange.json)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Stitch; map.json lists unusable presses, and stderr also lists unreadable images, for which it returns 1."""
     if args.find_flange and args.truth is not None:
-        raise ConfigError(
-            "--truth: found --find-flange as well, expected only one of the two; --find-flange makes no map"
-        )
+        raise ConfigError("--truth: found --find-flange as well, expected only one of the two")
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
+    start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
+    radius_mm = calibration.geometry.skin_radius_mm
+    if args.find_flange and args.recording is not None:
+        found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
+        for reason in unread:
+            tell(f"{args.recording}: {reason.text}")
+        report_flange(found, start, radius_mm, args.out, where, as_json=args.json)
+        return 1 if unread else 0
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
-    elif args.find_flange:
-        return _flange_of_recording(args, calibration, profile)
     else:
         presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
-    failed = [p for p in presses if p.failed]
+    failed = [press for press in presses if press.failed]
     for press in failed:
-        print(f"tacshade-edge: {press.where}: {press.skipped}", file=sys.stderr)
+        tell(f"{press.where}: {press.skipped}")
     if args.find_flange:
-        start = from_seven(calibration.flange_T_sensor)
-        _find_flange(args, calibration, frames_of_presses(presses, start))
-        return EXIT_FAILED if failed else 0
-    stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
+        report_flange(frames_of_presses(presses, start), start, radius_mm, args.out, where, as_json=args.json)
+        return 1 if failed else 0
+    stitcher = stitcher_of(presses, radius_mm)
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
-        raise ConfigError(f"{args.poses or args.recording}: found no usable press: {why}")
+        raise ConfigError(f"{where}: found no usable press: {why}")
     finished = stitcher.finish()
     about, more = {"profile": args.profile, **_details(presses, finished)}, {}
     if known is not None:
-        about["score"] = score(finished.raster, known).as_json()
         average = radius_average(all_points(presses), STEP_MM)
-        about["paper"] = _scored(average, known)
+        about["score"] = score(finished.raster, known).as_json()
+        about["paper"] = score(average, known).as_json()
         if finished.refined:
-            about["unrefined"] = _scored(stitcher.finish(None).raster, known)
+            about["unrefined"] = score(stitcher.finish(None).raster, known).as_json()
         more["comparison.png"] = comparison_png(known.raster, finished.raster, average)
     write_map(args.out, finished.raster, about, more)
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
-        _print(args.out, about)
-    return EXIT_FAILED if failed else 0
-
-
-def _flange_of_recording(args: argparse.Namespace, calibration: Calibration, profile: Profile) -> int:
-    found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
-    for reason in unread:
-        print(f"tacshade-edge: {args.recording}: {reason.text}", file=sys.stderr)
-    _find_flange(args, calibration, found)
-    return EXIT_FAILED if unread else 0
-
-
-def _find_flange(args: argparse.Namespace, calibration: Calibration, found: Sequence[ContactFrame]) -> None:
-    start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
-    find_flange.run(found, start, calibration.geometry.skin_radius_mm, args.out, where, as_json=args.json)
+        how = f"refined (they disagreed by {about['disagreement_mm']:.2f} mm)" if about["refined"] else "exact"
+        print(f"{args.out}: {about['used']} of {len(about['presses'])} presses, poses {how}")
+        for name, key in (("map", "score"), ("not refined", "unrefined"), ("paper's average", "paper")):
+            if key in about:
+                print(f"  {name}: {_line(about[key])}")
+    return 1 if failed else 0
 
 
 def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:
-        record: dict[str, Any] = {
-            "image": press.name,
-            "used": False,
-            "reason": text_of(press.skipped),
-        }
-        if not press.skipped:
-            record |= press_record(next(placed))
-        records.append(record)
+        record: dict[str, Any] = {"image": press.name, "used": False, "reason": text_of(press.skipped)}
+        records.append(record if press.skipped else record | press_record(next(placed)))
     return {
         "refined": finished.refined,
         "disagreement_mm": round(finished.disagreement_mm, 4),
-        "used": sum(r["used"] for r in records),
+        "used": sum(record["used"] for record in records),
         "presses": records,
     }
-
-
-def _scored(raster: Raster, known: KnownSurface) -> dict[str, Any]:
-    return score(raster, known).as_json()
-
-
-def _print(out: Path, about: dict[str, Any]) -> None:
-    poses = (
-        f"poses refined (they disagreed by {about['disagreement_mm']:.2f} mm)" if about["refined"] else "poses exact"
-    )
-    print(f"{out}: {about['used']} of {len(about['presses'])} presses, {poses}")
-    for name, key in (("map", "score"), ("not refined", "unrefined"), ("paper's average", "paper")):
-        if key in about:
-            print(f"  {name}: {_line(about[key])}")
 
 
 def _line(s: dict[str, Any]) -> str:
@@ -172,3 +135,47 @@ def _line(s: dict[str, Any]) -> str:
         f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
         f"circle within {worst(s['circles'], 'radius_percent')} %"
     )
+
+
+def report_flange(
+    frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
+) -> None:
+    """Find flange_T_sensor and the delay, write them to `out` and print them.
+
+    Raises ConfigError: too few presses, a motion is missing, or the presses agree at no pose near the start.
+    """
+    presses = len({frame.press for frame in frames})
+    if presses < PRESSES_MIN:
+        expected = f"expected at least {PRESSES_MIN} presses {_PLAN}"
+        raise ConfigError(f"{where}: found {presses} presses with a pose, {expected}")
+    try:
+        found = find_flange(frames, start, skin_radius_mm)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    if why := unseen(frames, start, found):
+        raise ConfigError(f"{where}: {why} {_PLAN}")
+    moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
+    if moved_mm > START_MM or turned_deg > START_DEG:
+        raise ConfigError(
+            f"{where}: found flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from the calibration's, "
+            f"expected at most {START_MM:g} mm and {START_DEG:g} degrees; is base_T_flange in mm?"
+        )
+    seen = delay_seen(found)
+    write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))
+    if as_json:
+        print((out / FLANGE).read_text(encoding="utf-8"), end="")
+        return
+    print(f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
+    _print_flange(found, seen)
+
+
+def _print_flange(found: FoundFlange, seen: bool) -> None:
+    sigma = np.sqrt(np.diag(found.covariance))
+    values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
+    within = f"within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"
+    print(f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  # {within}")
+    if seen:
+        print(f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses")
+    else:
+        expected = "expected a recording of presses down and up at 10 mm/s"
+        print(f"delay: not found: no press moves while in contact, {expected}")

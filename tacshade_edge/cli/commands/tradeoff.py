@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.options import POSITIVE, add_option, tell
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor.board import board_facts, heat
@@ -27,29 +27,13 @@ BUSY = 1.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    study.add_arguments(
-        parser,
-        profiles="default: every profile and variants of each",
-        files="tradeoff.md, tradeoff.csv, tradeoff.json and tradeoff.png",
-    )
-    parser.add_argument(
-        "--budget-ms",
-        type=_milliseconds,
-        metavar="MS",
-        help=(
-            "print the settings of the most accurate profile "
-            "that needs at most MS milliseconds for 99 of 100 frames in contact"
-        ),
-    )
+    files = "tradeoff.md, tradeoff.csv, tradeoff.json and tradeoff.png"
+    study.add_arguments(parser, "default: every profile and variants of each", files)
+    text = "print the settings of the most accurate profile that needs at most MS ms for 99 of 100 frames in contact"
+    add_option(parser, "--budget-ms", "MS", text, POSITIVE)
     study.add_cluster(parser)
-    parser.add_argument(
-        "--report",
-        action="store_true",
-        help=(
-            "time only the shipped profiles and print a report that you can send in; "
-            "the report omits this board's host name"
-        ),
-    )
+    text = "time only the shipped profiles and print a report to send in; it omits this board's host name"
+    parser.add_argument("--report", action="store_true", help=text)
     study.add_simulated(parser, SENSORS, "the paper's five")
 
 
@@ -79,8 +63,7 @@ def run(args: argparse.Namespace) -> int:
         rows = score_settings(settings, images, pool, Progress())
     found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
-        words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here"
-        print(f"tacshade-edge: {words}", file=sys.stderr)
+        tell(f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here")
     document = report.document(found, data, busy)
     study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)
     if drawn:
@@ -93,9 +76,9 @@ def _report(args: argparse.Namespace) -> int:
     """Measure the shipped profiles in the same way on every board, and print a report."""
     for name in ("profile", "out", "calibration", "images", "budget_ms", "cluster", "sensors", "objects"):
         if getattr(args, name) is not None:
-            args.usage_error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
+            args.parser.error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
     if args.json:
-        args.usage_error("--report prints Markdown: expected no --json")
+        args.parser.error("--report prints Markdown: expected no --json")
     machine, progress = Machine(), Progress()
     facts, before = board_facts(machine), heat(machine)
     settings = [Setting(PROFILES[name]) for name in report.PROFILES]
@@ -113,17 +96,7 @@ def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) ->
     """Print the settings for a budget; if no profile keeps it, print that and return False."""
     block = report.settings_block(found, budget_ms)
     if block is None:
-        print(f"tacshade-edge: {report.over_budget(found, budget_ms)}", file=sys.stderr)
+        tell(report.over_budget(found, budget_ms))
         return False
     print(f"\n{block}", file=sys.stderr if aside else sys.stdout)
     return True
-
-
-def _milliseconds(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(text)
-    return value
-
-
-_milliseconds.__name__ = "number above 0"  # argparse's messages show it

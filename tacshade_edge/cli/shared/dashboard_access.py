@@ -13,6 +13,7 @@ from typing import Final
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.regular_files import read_regular
 
+ANY: Final = ("0.0.0.0", "::")
 _TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")  # valid in a URL and in a cookie
 _TOKEN_BYTES: Final = 24
 _FILE_BYTES_MAX: Final = 4096
@@ -26,6 +27,11 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def in_url(host: str) -> str:
+    """Return a host as it stands in a URL."""
+    return f"[{host}]" if ":" in host else host
+
+
 def read_token(path: Path) -> str | None:
     """Return the token in a file, or None if there is no file. Raises ConfigError."""
     try:
@@ -35,21 +41,13 @@ def read_token(path: Path) -> str | None:
     except OSError as error:
         raise ConfigError(f"--token-file {path}: {error.strerror}, expected a readable file with the token") from None
     if not _TOKEN.fullmatch(text):
-        raise ConfigError(
-            f"--token-file {path}: found no valid token, "
-            "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'"
-        )
+        expected = "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'"
+        raise ConfigError(f"--token-file {path}: found no valid token, {expected}")
     return text
 
 
 def make_token(path: Path | None) -> str:
-    """Return a new token and, given a path, write it to a new file that only this user can read.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be written.
-    """
+    """Return a new token and, given a path, write it to a new file that only this user can read. Raises ConfigError."""
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     if path is not None:
         try:
@@ -57,9 +55,8 @@ def make_token(path: Path | None) -> str:
             with os.fdopen(descriptor, "w") as stream:
                 stream.write(f"{token}\n")
         except OSError as error:
-            raise ConfigError(
-                f"--token-file {path}: {error.strerror}, expected a path where the dashboard can create the file"
-            ) from None
+            expected = "expected a path where the dashboard can create the file"
+            raise ConfigError(f"--token-file {path}: {error.strerror}, {expected}") from None
     return token
 
 
@@ -70,15 +67,12 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
             raise ConfigError(f"--key {key}: found no --certificate, expected both options")
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
     try:
         # Without this password, OpenSSL would prompt for one at the terminal if the key is encrypted.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
-        reason = (
-            error.strerror
-            if type(error) is not ssl.SSLError and error.strerror
-            else "the key does not match the certificate"
-        )
+        is_of_file = type(error) is not ssl.SSLError and error.strerror
+        reason = error.strerror if is_of_file else "the key does not match the certificate"
+        shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
         raise ConfigError(f"{shown}: {reason}, expected PEM files with a certificate and its unencrypted key") from None
     return context

@@ -14,15 +14,7 @@ _ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is est
 
 
 class Progress:
-    """Shows how many items are done, of how many, and the remaining time at the mean speed so far.
-
-    Parameters
-    ----------
-    stream : text stream
-        Stream to write to; stderr if None.
-    clock : callable
-        Monotonic clock in s.
-    """
+    """Shows how many items are done, of how many, and the remaining time at the mean speed so far (on stderr)."""
 
     def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = stream or sys.stderr
@@ -33,16 +25,7 @@ class Progress:
         self._is_open = False  # the terminal's line has not ended yet
 
     def __call__(self, what: str, done: int, total: int | None) -> None:
-        """Report progress if it is time to.
-
-        Parameters
-        ----------
-        what : str
-            Name of the counted items; a different name starts a new count.
-        done : int
-        total : int or None
-            None if unknown.
-        """
+        """Report progress if it is time to; a different name of the counted items starts a new count."""
         now_s = self._clock()
         if what != self._what:
             self.end()
@@ -62,9 +45,10 @@ class Progress:
         else:
             print(text, file=self._stream, flush=True)
 
-    def say(self, line: str) -> None:
+    def tell(self, line: object) -> None:
         """Write a separate line in place of the one that updates itself."""
-        print(f"\r\033[K{line}" if self._is_open else line, file=self._stream, flush=True)
+        start = "\r\033[K" if self._is_open else ""
+        print(f"{start}tacshade-edge: {line}", file=self._stream, flush=True)
         self._is_open = False
 
     def end(self) -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.cli.shared.options import add_option, tell
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.errors import DeviceError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.studies.evaluate.own_images import images_in, read_images
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.work import Case
@@ -33,32 +33,22 @@ def sensors(text: str) -> tuple[SensorName, ...]:
 def objects(text: str) -> tuple[str, ...]:
     """Read ``NAME,...``. Raises argparse.ArgumentTypeError."""
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
-    unknown = [name for name in names if name not in OBJECTS]
-    if unknown:
+    if unknown := [name for name in names if name not in OBJECTS]:
         raise argparse.ArgumentTypeError(f"found {unknown[0]!r}, expected one or more of {', '.join(OBJECTS)}")
     return names
 
 
 def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) -> None:
     """Declare the options of every study; their help quotes `profiles`, the default, and `files`, those written."""
-    parser.add_argument(
-        "--profile",
-        nargs="+",
-        choices=list(PROFILES),
-        metavar="NAME",
-        help=f"one or more of {', '.join(PROFILES)} ({profiles})",
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"folder for {files}")
+    text = f"one or more of {', '.join(PROFILES)} ({profiles})"
+    parser.add_argument("--profile", nargs="+", choices=list(PROFILES), metavar="NAME", help=text)
+    add_option(parser, "--out", "DIR", f"folder for {files}")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
-    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
-    own.add_argument(
-        "--images",
-        type=Path,
-        metavar="DIR",
-        help="folder of images and their ground truth; STEM.npz is the ground truth for an image named STEM",
-    )
-    parser.set_defaults(usage_error=parser.error)
+    add_option(own, "--calibration", "CAL.npz", "from `calibrate`")
+    text = "folder of images and their ground truth; STEM.npz is the ground truth for an image named STEM"
+    add_option(own, "--images", "DIR", text)
+    parser.set_defaults(parser=parser)
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
@@ -70,46 +60,28 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
-    group.add_argument(
-        "--sensors",
-        type=sensors,
-        metavar="SEED,...",
-        help=f"seeds of the sensors to simulate; 'default' selects the standard sensor (default: {sensor_names})",
-    )
-    group.add_argument(
-        "--objects",
-        type=objects,
-        metavar="NAME,...",
-        help=f"one or more of {', '.join(OBJECTS)} (default: {object_names})",
-    )
+    text = f"seeds of the sensors to simulate; 'default' selects the standard sensor (default: {sensor_names})"
+    add_option(group, "--sensors", "SEED,...", text, sensors)
+    text = f"one or more of {', '.join(OBJECTS)} (default: {object_names})"
+    add_option(group, "--objects", "NAME,...", text, objects)
     return group
 
 
 def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
-    """Whether to use the user's own images; exits with a usage error if their options are incomplete or do not fit.
-
-    Parameters
-    ----------
-    simulated : tuple of str
-        Options that are only for simulated sensors.
-    """
+    """Whether to use the user's own images; a usage error if their options are incomplete or with `simulated` ones."""
     if (args.calibration is None) != (args.images is None):
-        args.usage_error("--calibration CAL.npz and --images DIR must be given together")
+        args.parser.error("--calibration CAL.npz and --images DIR must be given together")
     if args.images is None:
         return False
-    given = [name for name in simulated if getattr(args, name) is not None]
-    if given:
-        args.usage_error(f"--{given[0]} is for simulated sensors, not for your own images")
+    if given := [name for name in simulated if getattr(args, name) is not None]:
+        args.parser.error(f"--{given[0]} is for simulated sensors, not for your own images")
     return True
 
 
 def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
     """The user's calibration, an iterator over the images, and a list that grows with each bad image, also printed.
 
-    Raises
-    ------
-    ConfigError, DeviceError
-        There is no calibration or no images, or the output folder cannot be made.
+    Raises ConfigError (no calibration, or no images) and DeviceError (the output folder cannot be made).
     """
     calibration, paths = calibrations.load(args.calibration), images_in(args.images)
     make_folder(args.out)
@@ -118,7 +90,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
 
     def mistake(text: str) -> None:
         mistakes.append(text)
-        report.say(f"tacshade-edge: {text}")
+        report.tell(text)
 
     return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
 
@@ -127,22 +99,14 @@ def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("
     """Whether pictures are wanted and can be drawn; imports nothing, and prints a line if a package is missing."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if args.out and missing:
-        words = f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}"
-        print(f"tacshade-edge: {words}", file=sys.stderr)
+        tell(f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}")
     return args.out is not None and not missing
 
 
 def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None) -> None:
-    """Print the table or, with --json, the document; with --out, write both and the rows.
+    """Print the table or, with --json, the document (without NaN); with --out, write both and the rows as CSV.
 
-    Parameters
-    ----------
-    stem : str
-        Stem of the files' names.
-    rows : mapping
-        From what follows the stem in a CSV file's name to the file's text.
-    document : object or None
-        Content of the JSON file, without NaN.
+    `rows` maps what follows the stem in a CSV file's name to the file's text.
     """
     files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
     if document is not None:
@@ -155,17 +119,12 @@ def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, 
 
 def make_folder(folder: Path | None) -> None:
     """Make the output folder, so that an error comes before minutes of work. Raises DeviceError."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DeviceError(f"{folder}: cannot write it: {error.strerror or error}") from None
+    if folder is not None:
+        with disk_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
 
 
 def write(path: Path, content: bytes) -> None:
     """Write a file. Raises DeviceError."""
-    try:
+    with disk_errors(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise DeviceError(f"{path}: cannot write it: {error.strerror or error}") from None

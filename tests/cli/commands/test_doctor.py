@@ -5,14 +5,13 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import cv2
 import pytest
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.commands.doctor import shown
-from tacshade_edge.doctor import fault, ok, warning
+from tacshade_edge.doctor import fault, warning
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
@@ -28,27 +27,31 @@ def write(folder: Path, port: int, more: str = "") -> str:
     return str(path)
 
 
-def test_a_fault_is_exit_1_and_its_fix_stands_below(tmp_path: Path, capsys: Any) -> None:
-    config = write(tmp_path, free_port())
-    assert main(["doctor", "--config", config]) == EXIT_FAILED
+def test_a_fault_is_exit_1_its_fix_stands_below_and_the_bundle_has_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, bundle = write(tmp_path, free_port()), tmp_path / "b.zip"
+    assert main(["doctor", "--config", config, "--bundle", str(bundle), "--with-frame"]) == EXIT_FAILED
     printed = capsys.readouterr()
-    lines = printed.out.splitlines()
+    *lines, counts, wrote = printed.out.splitlines()
     assert printed.err == ""
     assert lines[0] == f"ok       settings           {config}, sensor tacshade"
     assert lines[1].startswith("fault    broker             127.0.0.1:")
     assert lines[2].startswith("         -> start the broker: sudo systemctl")
-    assert lines[-1].startswith("1 fault, ")
+    assert counts.startswith("1 fault, ")
     assert "\x1b" not in printed.out, "colour only on a terminal"
+    assert wrote.startswith(f"wrote {bundle}; look through it")
+    with zipfile.ZipFile(bundle) as files:
+        assert {"findings.json", "frame.png", "settings.yaml"} <= set(files.namelist())
+        assert json.loads(files.read("findings.json"))[0]["check"] == "settings"
 
 
-def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: Any) -> None:
+def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = write(tmp_path, 1883, more="sensor: 1\n")
     assert main(["doctor", "--config", config, "--json"]) == EXIT_CONFIG
     found = json.loads(capsys.readouterr().out)
     assert all(set(each) == {"check", "state", "found", "fix"} for each in found)
-    assert found[0]["check"] == "settings"
-    assert found[0]["state"] == "fault"
-    assert found[0]["found"].startswith(f"{config}:4: sensor: found an unknown key")
+    assert (found[0]["check"], found[0]["state"]) == ("settings", "fault")
     assert {each["check"] for each in found} >= {"serial", "disk", "clock", "camera"}
 
 
@@ -60,21 +63,8 @@ def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
     assert (done.returncode, done.stderr) == (EXIT_OK, ""), done.stdout
     assert "fault " not in done.stdout
-    assert "ok       broker round trip  a 38 KB message made the round trip in" in done.stdout
 
 
 def test_how_a_finding_is_shown() -> None:
-    assert shown(ok("clock", "right"), colour=False) == "ok       clock              right"
     assert shown(warning("a", "b", "c"), colour=False) == "warning  a                  b\n         -> c"
     assert shown(fault("a", "b", "c"), colour=True).startswith("\x1b[31mfault  \x1b[0m  a ")
-
-
-def test_a_bundle_for_somebody_who_helps(tmp_path: Path, capsys: Any) -> None:
-    config = write(tmp_path, free_port())
-    assert main(["doctor", "--config", config, "--bundle", str(tmp_path / "b.zip"), "--with-frame"]) == EXIT_FAILED
-    assert capsys.readouterr().out.splitlines()[-1].startswith(f"wrote {tmp_path / 'b.zip'}; look through it")
-    with zipfile.ZipFile(tmp_path / "b.zip") as bundle:
-        assert {"findings.json", "frame.png", "settings.yaml"} <= set(bundle.namelist())
-        assert json.loads(bundle.read("findings.json"))[0]["check"] == "settings"
-    with pytest.raises(SystemExit, match="2"):
-        main(["doctor", "--config", config, "--with-frame"])

@@ -1,7 +1,8 @@
+from __future__ import annotations
+
 import csv
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
@@ -17,10 +18,9 @@ from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
 from tools.testbed.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
-from tools.testbed.patience import patience
 
 WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
-SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1"]
+SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1", "--profile", "fast"]
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -52,46 +52,30 @@ def of_own(folder: Path, *more: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("half")
-def test_the_files_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path / "out")]) == 0
+def test_the_files_the_table_and_the_same_bytes_again_without_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = tmp_path / "out", tmp_path / "again"
+    words = [*SMALL, "--sensors", "half:default", "--out"]
+    assert main([*words, str(first)]) == 0
     printed = capsys.readouterr()
     assert only_progress(printed.err)
     assert "Table I (real sensor)" in printed.out
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [*WRITTEN, "figure6.png"]
-    rows = table(tmp_path / "out" / "evaluation.csv")
+    assert sorted(p.name for p in first.iterdir()) == [*WRITTEN, "figure6.png"]
+    rows = table(first / "evaluation.csv")
     assert list(rows[0]) == [field.name for field in fields(Row)]
     assert [row["object"] for row in rows] == ["ball"] * 9 + ["none"] * 20
-    summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    summary = json.loads((first / "evaluation.json").read_text())
     assert summary["settings"]["sensors"][0]["model"]["image_width_px"] == 320
     assert summary["profiles"]["fast"]["timing"]["p50_ms"] > 0
-    assert cv2.imread(str(tmp_path / "out" / "figure6.png")).std() > 20
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
-def test_without_matplotlib_all_but_the_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    assert cv2.imread(str(first / "figure6.png")).std() > 20
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path), "--json"]) == 0
+    assert main([*words, str(second), "--json"]) == 0
     printed = capsys.readouterr()
     assert printed.err.startswith("tacshade-edge: figure6.png will be missing without matplotlib: pip install")
-    assert json.loads(printed.out) == json.loads((tmp_path / "evaluation.json").read_text())
-    assert sorted(p.name for p in tmp_path.iterdir()) == WRITTEN
-
-
-@pytest.mark.slow
-def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tacshade_edge", *SMALL, "--profile", "fast", "--sensors", "default"]
-    one = ["taskset", "-c", str(min(os.sched_getaffinity(0)))]
-    for words, name in (([*one, *command], "one"), (command, "all")):
-        done = subprocess.run(
-            [*words, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=patience(300)
-        )
-        assert done.returncode == 0, done.stderr
-        assert only_progress(done.stderr)
-    first, second = ((tmp_path / name / "evaluation.csv").read_bytes() for name in ("one", "all"))
-    assert first == second
+    assert json.loads(printed.out) == json.loads((second / "evaluation.json").read_text())
+    assert sorted(p.name for p in second.iterdir()) == WRITTEN
+    assert (first / "evaluation.csv").read_bytes() == (second / "evaluation.csv").read_bytes()
 
 
 def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,33 +95,11 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     assert main(of_own(own)) == 1
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1
-    assert "alone.npz: found no such file, expected the image's ground truth" in printed.err
+    assert "alone.npz: found no such file" in printed.err
     assert "coin" in printed.out
     (own / "images" / "coin.npz").unlink()
     assert main(of_own(own)) == 78
     assert "found no image to score" in capsys.readouterr().err.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--sensors", "teapot:1"], "no sensor family is called 'teapot', expected one of tacshade"),
-        (["--sensors", "5,"], "found '', expected a seed"),
-        (["--objects", "ball,teapot"], "found 'teapot', expected one or more of cube"),
-        (["--presses", "5"], "--presses: found 5, expected 0 or at least 8"),
-        (["--presses", "-1"], "invalid whole number value"),
-        (["--references", "0"], "--references: found 0, expected at least 1"),
-        (["--profile", "best"], "invalid choice: 'best'"),
-        (["--images", "x"], "must be given together"),
-        (["--calibration", "x"], "must be given together"),
-        (["--calibration", "x", "--images", "x", "--presses", "8"], "--presses is for simulated sensors"),
-    ],
-)
-def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["evaluate", *words])
-    assert stop.value.code == 2
-    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -152,13 +114,12 @@ def test_what_is_not_there_is_one_line(
     own: Path, calibration: str, images: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (own / "empty").mkdir()
-    words = ["evaluate", "--calibration", str(own / calibration), "--images", str(own / images)]
-    assert main(words) == code
+    assert main(["evaluate", "--calibration", str(own / calibration), "--images", str(own / images)]) == code
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert message in error
 
 
 def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*SMALL, "--out", str(own / "cal.npz")]) == 1
+    assert main([*SMALL, "--out", os.fspath(own / "cal.npz")]) == 1
     assert "cal.npz: cannot write it" in capsys.readouterr().err

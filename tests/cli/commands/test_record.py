@@ -161,14 +161,13 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_recording_and_the_daemon_goes_on(
-    tmp_path: Path, start: Start, seen: Subscriber, number: signal.Signals
+def test_a_signal_ends_the_recording_and_the_daemon_goes_on_until_it_is_stopped(
+    tmp_path: Path, start: Start, seen: Subscriber
 ) -> None:
-    start("run")
+    daemon = start("run")
     client = start("record", "--seconds", "600")
     wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
-    client.send_signal(number)
+    client.send_signal(signal.SIGINT)
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
     (rec,) = (tmp_path / "recs").iterdir()
@@ -176,11 +175,6 @@ def test_a_signal_ends_the_recording_and_the_daemon_goes_on(
     assert said.endswith(" (stopped)\n")
     assert len(read_table(rec / "frames.csv")) == about(rec)["frames"] > 5
     seen.wait_for(f"{BASE}/height", len(seen.of(f"{BASE}/height")) + 10, 10)
-
-
-@pytest.mark.slow
-def test_a_daemon_that_is_stopped_finishes_the_recording(tmp_path: Path, start: Start, seen: Subscriber) -> None:
-    daemon = start("run")
     client = start("record", "--seconds", "600", "--name", "a")
     wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
     daemon.terminate()
@@ -223,9 +217,6 @@ def test_no_daemon_and_no_broker_are_one_line(
     write_settings(tmp_path, port)
     assert record(tmp_path, "1") == 1
     assert capsys.readouterr().err == f"tacshade-edge: 127.0.0.1:{port}: Connection refused; expected a broker\n"
-    with pytest.raises(SystemExit) as stop:
-        record(tmp_path, "0")
-    assert stop.value.code == 2
 
 
 @pytest.mark.slow
@@ -246,23 +237,3 @@ def signals() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            ["--name", "../a"],
-            "found '../a', expected up to 64 letters, digits, '.', '_' and '-', not starting with '.'",
-        ),
-        (["--name", "a b"], "found 'a b', expected up to 64 letters"),
-        (["--name", "a" * 65], "expected up to 64 letters"),
-        (["--seconds", "4000"], "found 4000, expected at most 3600"),
-        (["--seconds", "soon"], "invalid number value: 'soon'"),
-    ],
-)
-def test_words_that_do_not_fit(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["record", "--seconds", "1", *words])
-    assert stop.value.code == 2
-    assert said in capsys.readouterr().err

@@ -139,42 +139,6 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
     assert [r["seq"] for r in summary(folder / "out")] == [0, 2, 3, 4]
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ([], "expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both"),
-        (["--mqtt", "h:1", "--config", "c"], "--mqtt and --config both name a broker"),
-        (["--out", "o", "--loop", "0"], "--loop 0 never ends"),
-        (["--out", "o", "--loop", "-1"], "found -1, expected a whole number from 0"),
-        (["--out", "o", "--speed", "0"], "found 0, expected a number above 0"),
-        (["--out", "o", "--fps", "nan"], "found nan, expected a number above 0"),
-        (["--mqtt", "localhost"], "found 'localhost', expected HOST:PORT"),
-        (["--mqtt", "h:1", "--sensor-id", "a/b"], "found a/b, expected letters"),
-        (["--against", "o"], "--against: found no --out DIR to compare with"),
-        (["--out", "o", "--against", "./o"], "--out and --against name the same folder"),
-    ],
-)
-def test_words_that_do_not_fit(
-    folder: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(folder)
-    with pytest.raises(SystemExit) as stop:
-        main(words(folder, *more))
-    assert stop.value.code == 2
-    assert said in capsys.readouterr().err
-    assert not (folder / "o").exists()
-
-
-def test_nothing_given(capsys: pytest.CaptureFixture[str]) -> None:
-    for given in (["replay"], ["replay", "rec", "--out", "o"]):
-        with pytest.raises(SystemExit) as stop:
-            main(given)
-        assert stop.value.code == 2
-    err = capsys.readouterr().err
-    assert "expected INPUT, or --out DIR and --against DIR to compare two runs" in err
-    assert "expected --calibration CAL.npz" in err
-
-
 def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "out"
     write_recording(folder / "large", [cv2.resize(FREE, (320, 240))])

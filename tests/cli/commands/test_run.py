@@ -1,18 +1,24 @@
-"""The daemon as its users run it: a child process, its exit code, its one line."""
+"""The daemon as its users run it: a child process, its exit code, its lines; and what it imports."""
 
 from __future__ import annotations
 
+import json
+import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
@@ -23,8 +29,16 @@ pytestmark = pytest.mark.slow
 
 STOP_S = 2.0
 BASE = "tacshade/tacshade"
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-Child = subprocess.Popen[str]
+IMAGES = "kind: files, path: images, fps: 100, loop: true"
+CAMERA = "kind: v4l2, width_px: 160, height_px: 120"
+Child = subprocess.Popen[bytes]
+Lines = Callable[[], list[str]]
+Start = Callable[..., tuple[Child, Lines]]
+
+
+def needs_broker(test: Callable[..., None]) -> Callable[..., None]:
+    missing = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+    return pytest.mark.broker(missing(test))  # type: ignore[no-any-return]
 
 
 @pytest.fixture
@@ -37,102 +51,162 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def settings(folder: Path, port: int, source: str = "kind: files, path: images, fps: 100, loop: true") -> Path:
+def settings(
+    folder: Path, port: int, source: str = IMAGES, *, calibration: str = "c.npz", mqtt: str = "", more: str = ""
+) -> Path:
     path = folder / "settings.yaml"
-    path.write_text(f"calibration: c.npz\nsource: {{{source}}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n")
+    broker = f"mqtt: {{host: 127.0.0.1, port: {port}{mqtt}}}"
+    path.write_text(f"calibration: {calibration}\nsource: {{{source}}}\n{broker}\n{more}")
     return path
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[[Path], Child]]:
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts `run`, and gives the lines of its log so far, without their time stamps."""
     children: list[Child] = []
 
-    def started(path: Path) -> Child:
-        command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(path)]
-        children.append(subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
-        return children[-1]
+    def started(path: Path, *words: str) -> tuple[Child, Lines]:
+        command = [sys.executable, "-m", "tacshade_edge", "run", *words, "--config", str(path)]
+        log = tmp_path / "log"
+        with log.open("wb") as file:
+            children.append(subprocess.Popen(command, stderr=file, cwd=tmp_path))
+        stamp = re.compile(r"^\d{4}-\S+ ")
+        return children[-1], lambda: [stamp.sub("", line) for line in log.read_text().splitlines()]
 
     yield started
     for child in children:
         child.kill()
-        child.communicate()
+        child.wait()
 
 
-def terminated(child: Child, number: signal.Signals) -> tuple[int, str]:
-    """Exit code and stderr after a signal, within the promised time."""
+def stop(child: Child, lines: Lines, number: signal.Signals = signal.SIGTERM) -> None:
+    """A clean end within the promised time."""
+    assert child.poll() is None, lines()
     began = time.monotonic()
     child.send_signal(number)
-    _, errors = child.communicate(timeout=patience(20))
+    assert child.wait(patience(20)) == 0, lines()
     assert time.monotonic() - began < stretched(STOP_S)
-    return child.returncode, errors
+    assert not any("Traceback" in line for line in lines())
+
+
+def told(lines: Lines, *parts: str) -> list[str]:
+    """The warnings with all of these parts."""
+    return [line for line in lines() if line.startswith("WARNING ") and all(part in line for part in parts)]
 
 
 def state(seen: Subscriber) -> str:
     return (seen.of(f"{BASE}/state") or [b""])[-1].decode()
 
 
-@pytest.mark.broker
 @needs_broker
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_stops_it_cleanly(folder: Path, start: Callable[[Path], Child], number: signal.Signals) -> None:
+def test_a_signal_stops_it_cleanly(folder: Path, start: Start, number: signal.Signals) -> None:
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
-        child = start(settings(folder, broker.port))
-        height = wire.decode(seen.wait_for(f"{BASE}/height", 20, 15)[-1])
-        assert isinstance(height, wire.HeightMessage)
+        child, lines = start(settings(folder, broker.port))
+        seen.wait_for(f"{BASE}/height", 20, 15)
         heights = [wire.decode(p) for p in seen.of(f"{BASE}/height")]
         deepest = max(float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage))
         assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
         assert state(seen) == "online"
-        code, errors = terminated(child, number)
-        assert code == 0, errors
+        stop(child, lines, number)
         wait_until(lambda: state(seen) == "stopped", 5, "stopped")
-        assert "Traceback" not in errors
-        assert len(errors.splitlines()) < 10  # state changes, not frames
+        assert len(lines()) < 10  # state changes, not frames
 
 
-@pytest.mark.broker
 @needs_broker
-def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Callable[[Path], Child]) -> None:
+def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Start) -> None:
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
-        child = start(settings(folder, broker.port))
+        child, _ = start(settings(folder, broker.port))
         seen.wait_for(f"{BASE}/height", 1, 15)
         child.kill()
         wait_until(lambda: state(seen) == "offline", 5, "offline")
 
 
-def test_without_broker_and_camera_it_waits_and_stops_cleanly(folder: Path, start: Callable[[Path], Child]) -> None:
-    source = "kind: v4l2, device: /dev/video99, width_px: 160, height_px: 120"
-    child = start(settings(folder, free_port(), source))
-    assert child.stderr is not None
-    lines = []
-    for line in child.stderr:
-        lines.append(line)
-        if "/dev/video99" in line:
-            break
-    code, errors = terminated(child, signal.SIGTERM)
-    assert code == 0, errors
-    assert "Traceback" not in "".join(lines) + errors
+def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, start: Start) -> None:
+    port = free_port()
+    child, lines = start(settings(folder, port, f"{CAMERA}, device: /dev/video99"))
+    wait_until(lambda: told(lines, "/dev/video99") and told(lines, "refused"), 20, "the lines")
+    threading.Event().wait(1.5)  # more attempts
+    stop(child, lines)
+    (camera,), (broker,) = told(lines, "/dev/video99"), told(lines, "refused")
+    assert camera.startswith("WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device")
+    assert broker.startswith(f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused")
+    assert "; to fix it: " in camera
+    assert "; to fix it: " in broker
 
 
-def test_a_wrong_setting_is_one_line_and_exit_78(folder: Path, start: Callable[[Path], Child]) -> None:
-    path = settings(folder, 1883)
-    path.write_text(path.read_text().replace("port", "prot"))
-    child = start(path)
-    out, errors = child.communicate(timeout=patience(20))
-    assert (child.returncode, out) == (78, "")
-    assert errors.startswith(f"tacshade-edge: {path}:3: mqtt.prot: found an unknown key, expected one of host, port")
-    assert errors.count("\n") == 1
+def test_images_that_cannot_be_decoded_are_told_once(folder: Path, start: Start) -> None:
+    (folder / "cut.png").write_bytes((folder / "images" / "0.png").read_bytes()[:1000])
+    child, lines = start(settings(folder, free_port(), "kind: files, path: cut.png, loop: true, fps: 240"))
+    wait_until(lambda: told(lines, "cut.png"), 20, "the line")
+    stop(child, lines)
+    assert len(told(lines, f"source away: {folder}/cut.png: found an image cut short after 1000 bytes")) == 1
 
 
-def test_a_source_that_can_never_work_is_one_line_and_exit_78(folder: Path, start: Callable[[Path], Child]) -> None:
-    (folder / "void").mkdir()
-    child = start(settings(folder, free_port(), "kind: files, path: void"))
-    _, errors = child.communicate(timeout=patience(20))
-    assert child.returncode == 78
-    told = [line for line in errors.splitlines() if line.startswith("tacshade-edge: ")]
-    assert told == [line for line in told if f"{folder}/void: found no image" in line]
-    assert len(told) == 1
-    assert "Traceback" not in errors
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n", bytes(range(256))])
+def test_a_port_where_no_broker_listens(folder: Path, start: Start, answer: bytes) -> None:
+    with something_else(answer) as (port, connections):
+        child, lines = start(settings(folder, port))
+        wait_until(lambda: len(connections) >= 3, 60, "it goes on trying")
+        stop(child, lines)
+    assert len(told(lines, f"127.0.0.1:{port}: accepts connections but does not ")) == 1
+
+
+@contextmanager
+def something_else(answer: bytes) -> Iterator[tuple[int, list[socket.socket]]]:
+    """A server that is no broker: its port, and the connections it got."""
+    connections: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            while True:
+                try:
+                    peer, _ = server.accept()
+                except OSError:  # shut down
+                    return
+                connections.append(peer)
+                peer.sendall(answer)
+                peer.close()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield server.getsockname()[1], connections
+        finally:
+            server.shutdown(socket.SHUT_RDWR)
+            thread.join(patience(10))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"source": f"{CAMERA}, device: /dev/null"}, "2: source.device: camera /dev/null: found another kind"),
+        ({"source": f"{CAMERA}, device: /dev/shm"}, "2: source.device: camera /dev/shm: found a directory"),
+        ({"source": "kind: files, path: large"}, "2: source.path: found 320x240 px"),
+        ({"source": "kind: files, path: void"}, "2: source.path: {folder}/void: found no image"),
+        ({"calibration": "flipped.npz"}, "1: calibration: {folder}/flipped.npz: "),
+        ({"mqtt": ", prot: 1"}, "3: mqtt.prot: found an unknown key"),
+    ],
+)
+def test_settings_that_cannot_work_are_one_line_and_exit_78(
+    folder: Path, capsys: pytest.CaptureFixture[str], given: dict[str, str], said: str
+) -> None:
+    for name in ("void", "large"):
+        (folder / name).mkdir()
+    cv2.imwrite(str(folder / "large" / "0.png"), cv2.resize(FREE, (320, 240)))
+    content = bytearray((folder / "c.npz").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (folder / "flipped.npz").write_bytes(content)
+    assert main(["run", "--config", str(settings(folder, 1883, **given))]) == 78  # type: ignore[arg-type]
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tacshade-edge: ")]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"tacshade-edge: {folder}/settings.yaml:{said.format(folder=folder)}")
+
+
+def test_a_process_exits_with_78(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(tmp_path / "none.yaml")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(20), check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (78, "", 1)
 
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
@@ -142,10 +216,77 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
         "image_source.FilesSource.read = read\n"
         "entry()"
     )
-    words = ["run", "--config", str(settings(folder, free_port()))]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=patience(20), check=False
-    )
+    command = [sys.executable, "-c", code, "run", "--config", str(settings(folder, free_port()))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(20), check=False)
     assert done.returncode == 1
     assert "Traceback" in done.stderr
     assert done.stderr.rstrip().endswith("ZeroDivisionError: a defect\nin thread grab")
+
+
+@needs_broker
+def test_quiet_names_each_fault_with_its_fix(folder: Path, start: Start) -> None:
+    (folder / "password").write_text("wrong\n")
+    cv2.imwrite(str(folder / "black.png"), 0 * FREE)
+    with Broker(folder, users={"hand": "right"}) as broker:
+        source, mqtt = "kind: files, path: black.png, loop: true", ", username: hand, password_file: password"
+        _, lines = start(settings(folder, broker.port, source, mqtt=mqtt), "-q")
+        wait_until(lambda: told(lines, "Not authorized; to fix it: is the password right?"), 20)
+        wait_until(lambda: told(lines, "source unusable: ", "black", "to fix it: switch the sensor's light on"), 20)
+
+
+@needs_broker
+def test_quiet_without_a_calibration_says_how_to_get_one(folder: Path, start: Start) -> None:
+    with Broker(folder) as broker:
+        _, lines = start(settings(folder, broker.port, calibration="none.npz"), "-q")
+        wait_until(lambda: told(lines, "source unusable: not calibrated: ", "tacshade-edge capture DIR"), 20)
+
+
+@needs_broker
+def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
+    for path in sorted((folder / "images").iterdir())[3:]:
+        path.unlink()
+    with Broker(folder) as broker, Subscriber(broker.port, "tacshade/+/health") as seen:
+        _, lines = start(settings(folder, broker.port), "-q")
+        wait_until(lambda: b'"without_contact": 0' not in b"".join(m.payload for m in seen.messages[-1:]) != b"", 20)
+        assert lines() == []
+
+
+# Runs the command to the end of its recording, then tells what was imported.
+RUN = """
+import json, sys
+from tacshade_edge import cli
+print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
+"""
+OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
+# Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
+COMMANDS, ON_DEMAND, POSES = (
+    "simulator studies dashboard doctor daemon.replay",
+    "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
+    "core.stitching.stitcher core.stitching.press_points daemon.session daemon.session_worker "
+    "storage.stitching.stitch_file",
+)
+OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
+STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}
+
+
+def imported(folder: Path, profile: str) -> set[str]:
+    source = "kind: files, path: images, fps: 100"
+    config = settings(folder, free_port(), source, more=f"profile: {profile}\n")
+    command = [sys.executable, "-c", RUN, "run", "--config", str(config)]
+    code, *modules = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert code == 0
+    return set(modules)
+
+
+def test_imports_follow_the_settings(folder: Path) -> None:
+    """Memory and a quick start are for what the daemon does."""
+    network, paper = imported(folder, "fast"), imported(folder, "paper")
+    assert "onnxruntime" in network
+    assert "onnxruntime" not in paper
+    for modules in (network, paper):
+        assert "tacshade_edge.storage.recording.image_source" in modules
+        assert not modules & (OTHERS | OWN | STITCHING)
+    (folder / "images" / "frames.csv").write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n")
+    posed = imported(folder, "fast")
+    assert posed >= STITCHING
+    assert not posed & (OTHERS | OWN)

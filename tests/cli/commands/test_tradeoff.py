@@ -103,27 +103,6 @@ def test_the_settings_are_those_of_a_settings_file(own: Path, capsys: pytest.Cap
     assert capsys.readouterr().out == f"{config}: ok\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--profile", "best"], "invalid choice: 'best'"),
-        (["--budget-ms", "0"], "invalid number above 0 value: '0'"),
-        (["--budget-ms", "nan"], "invalid number above 0"),
-        (["--budget-ms", "soon"], "invalid number above 0"),
-        (["--objects", "teapot"], "found 'teapot'"),
-        (["--images", "x"], "must be given together"),
-        (["--calibration", "x", "--images", "x", "--objects", "ball"], "--objects is for simulated sensors"),
-        (["--report", "--budget-ms", "3"], "--report measures the same on every board: expected no --budget-ms"),
-        (["--report", "--json"], "--report prints Markdown"),
-    ],
-)
-def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["tradeoff", *words])
-    assert stop.value.code == 2
-    assert message in capsys.readouterr().err
-
-
 def test_what_is_not_there_is_one_line_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for path in (own / "images").glob("coin.*"):
         path.unlink()

@@ -1,0 +1,101 @@
+"""What the commands share: options, the values that argparse reads, lines on stderr, missing packages."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
+
+DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
+
+
+def tell(line: object) -> None:
+    """Write a line to stderr."""
+    print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
+
+
+def need(what: str, extra: str, *packages: str) -> None:
+    """Raise a ConfigError that names the extra if one of these packages is missing; imports none of them."""
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            raise ConfigError(f"{what}: the package {package} is not installed; to install it: {how_to_install(extra)}")
+
+
+def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = Path, **more: Any) -> None:
+    """Declare an option of a parser or a group of options; its value is a path unless `kind` reads another."""
+    to.add_argument(name, type=kind, metavar=metavar, help=text, **more)
+
+
+def add_config(parser: argparse.ArgumentParser, text: str = "settings file") -> None:
+    """Declare ``--config`` with the service's settings as its default."""
+    add_option(parser, "--config", "FILE", f"{text} (default: %(default)s)", default=DEFAULT_CONFIG)
+
+
+def add_sensor(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--sensor``."""
+    parser.add_argument("--sensor", metavar="ID", help="sensor to use, if the settings list several")
+
+
+def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
+    """Declare ``--profile`` of commands whose results must not depend on the machine's speed."""
+    text = f"profile, a trade-off between speed and accuracy (default: {default})"
+    parser.add_argument("--profile", type=_fixed, choices=sorted(PROFILES), default=default, help=text)
+
+
+def _fixed(text: str) -> str:
+    if text == AUTO:
+        found = f"found {AUTO}, which adapts to the clock, so no two runs would be the same"
+        raise argparse.ArgumentTypeError(f"{found}; expected one of {', '.join(sorted(PROFILES))}")
+    return text
+
+
+def number(expected: str, low: float, high: float, kind: type[int] | type[float] = float) -> Callable[[str], Any]:
+    """Return an argparse type that reads a number from `low` to `high`, which `expected` describes."""
+
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
+        return value
+
+    return read
+
+
+FINITE = number("a finite number", -sys.float_info.max, sys.float_info.max)
+POSITIVE = number("a number above 0 and at most a million", sys.float_info.min, 1e6)
+COUNT = number("a whole number from 0", 0, 2**31 - 1, int)
+PORT = number("a port from 0 to 65535", 0, 65535, int)
+
+
+def address(default_port: int | None = None) -> Callable[[str], tuple[str, int]]:
+    """Return an argparse type that reads HOST:PORT; with a default port, it also accepts HOST alone and port 0."""
+
+    def read(text: str) -> tuple[str, int]:
+        try:
+            parts = urlsplit(f"//{text}")
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if host and parts.netloc == text and parts.username is None and not text.endswith(":"):
+            if default_port is not None:
+                return host, default_port if port is None else port
+            if port:
+                return host, port
+        expected = "HOST:PORT" if default_port is None else "HOST or HOST:PORT"
+        raise argparse.ArgumentTypeError(
+            f"found {text!r}, expected {expected} such as localhost:{default_port or 1883}"
+        )
+
+    return read
