@@ -50,6 +50,7 @@ class ReasonCode(StrEnum):
     NOT_OFFERED = "not_offered"
     UNREACHABLE = "unreachable"
     REFUSED = "refused"
+    MESSAGE_SIZE_LIMIT = "message_size_limit"
     NO_ANSWER = "no_answer"
     LOST = "lost"
     STALLED = "stalled"

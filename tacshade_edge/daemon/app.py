@@ -199,6 +199,7 @@ class App:
         self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._camera = SourceState("away", Reason(ReasonCode.STARTING, "starting"))
         self._published_camera: SourceState | None = None
+        self._published_limit: Reason | None = None
         self._latest_health: dict[str, Any] = {}
         self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
 
@@ -222,7 +223,7 @@ class App:
         return_free_memory()
         with crashes_to(self._events.put):
             self._changed()
-            self._publish_camera()
+            self._publish_state()
             self._record.fix(Path(self._document.settings.recorder.folder))
             self.link.start()
             self._pipeline.start()
@@ -244,7 +245,7 @@ class App:
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
                 self._preview.publish()
-            self._publish_camera()
+            self._publish_state()
             for observer in self._observers:
                 observer.poll()
             if self._references.follow(held=self._recorder.now() is not None):
@@ -327,7 +328,7 @@ class App:
         for due_s, stop in sorted(stops, key=itemgetter(0)):
             stop(left_s(due_s))
         self._publish_health()
-        self._publish_camera(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
+        self._publish_state(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
         self.link.stop(left_s(LINK_STOPPED_S))
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
@@ -389,17 +390,22 @@ class App:
             return SourceState("unusable", unusable, self._camera.details)
         return self._camera
 
-    def _publish_camera(self, state: SourceState | None = None) -> None:
-        camera = state or self._camera_now()
-        if camera == self._published_camera:
+    def _publish_state(self, state: SourceState | None = None) -> None:
+        camera, limit = state or self._camera_now(), self.link.limited
+        if camera == self._published_camera and limit == self._published_limit:
             return
-        self._published_camera = camera
-        for observer in self._observers:
-            observer.source_changed(camera)
-        self._log_camera(camera)
-        self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+        if camera != self._published_camera:
+            self._published_camera = camera
+            for observer in self._observers:
+                observer.source_changed(camera)
+            self._log_camera(camera)
+            self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+        if limit != self._published_limit:
+            self._published_limit = limit
+            self.link.set_retained("status/broker", messages.encode_status("limited" if limit else "connected", limit))
         if camera.state != "ended":
-            self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
+            sound = camera.state == "streaming" and limit is None
+            self.link.set_retained("state", b"online" if sound else b"degraded")
 
     def _log_camera(self, camera: SourceState) -> None:
         """Log a warning for a source that is away or unusable, and a line of information for any other state."""

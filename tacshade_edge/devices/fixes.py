@@ -51,6 +51,10 @@ _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
 # X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
 _OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
+MESSAGE_SIZE_FIX = (
+    "raise message_size_limit and max_packet_size in the broker's configuration to at least 1000000 bytes, "
+    "or remove them"
+)
 BROKERS_LOG = "see the broker's log: sudo journalctl -u mosquitto"
 
 

@@ -7,6 +7,7 @@ import ssl
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,14 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
+from tacshade_edge.devices.fixes import (
+    MESSAGE_SIZE_FIX,
+    connect_fix,
+    is_not_authorised,
+    is_other_version,
+    no_answer_fix,
+    refusal_fix,
+)
 from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.client_id_guard import place_of
 from tacshade_edge.doctor import Finding, fault, ok, warning
@@ -29,7 +37,6 @@ _ANSWER_S = 2.0
 _ROUNDS = 6  # the first is a warm-up
 _MESSAGE_BYTES = 38_000  # more than a height map (25 KB); about a cloud of 2700 points
 _HEADER_BYTES = 200
-_PACKET_BYTES = 1_000_000  # a map of 640x480 cells, with room to spare
 _SLOW_MS = 20.0
 _REPORTED = ("state", "info", "instance", "health", "status/+")
 _ACL = (
@@ -87,7 +94,7 @@ class _Session:
 
     @property
     def is_refused(self) -> bool:
-        """Whether the access rules denied the last message."""
+        """Whether the broker rejected the last message."""
         return self.published is not None and self.published.is_failure
 
 
@@ -144,7 +151,7 @@ def _listen(client: Session, own_topic: str) -> _Session:
     def on_subscribe(_client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any) -> None:
         session.subscribed = codes
 
-    def on_publish(_client: Client, _userdata: Any, _mid: int, code: MqttCode, _properties: Any) -> None:
+    def on_answer(_mid: int, code: MqttCode) -> None:
         session.published = code
 
     def on_message(topic: str, message: Any) -> None:
@@ -154,7 +161,7 @@ def _listen(client: Session, own_topic: str) -> _Session:
             session.messages[topic] = bytes(message.payload)
 
     client.on_connect, client.on_subscribe = on_connect, on_subscribe
-    client.on_publish = on_publish
+    client.answered(on_answer)
     client.receive(on_message)
     return session
 
@@ -226,29 +233,59 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
         return fault("broker round trip", f"the broker does not let this user subscribe to topics under {base}/", acl)
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
-        found = f"the broker accepts packets of at most {most} bytes; the daemon skips larger height maps and clouds"
-        return warning(
-            "broker round trip", found, f"set max_packet_size in the broker's configuration to at least {_PACKET_BYTES}"
-        )
+        return _limited(f"the broker accepts packets of at most {most} bytes")
     took_ms = []
     for _ in range(_ROUNDS):
         began_s = time.monotonic()
-        session.published, session.echoed = None, False
-        client.publish(topic, bytes(_MESSAGE_BYTES), qos=1)
-        _pump(client, lambda: session.echoed or session.is_refused)
-        if session.is_refused:
-            return fault(
-                "broker round trip",
-                f"the broker does not let this user publish to topics under {base}/ ({session.published})",
-                acl,
-            )
-        if not session.echoed:
+        if not _echoes(client, session, topic, _MESSAGE_BYTES):
+            answer = session.published
+            if (small := _largest_echoed(client, session, topic)) is not None:
+                return _limited(f"the broker accepts a message of {small} bytes but none of {2 * small}")
+            if session.is_refused:
+                found = f"the broker does not let this user publish to topics under {base}/ ({answer})"
+                return fault("broker round trip", found, acl)
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
             return fault(
                 "broker round trip", found, f"allow the user to receive the message ({acl}), or use a faster network"
             )
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms[1:]))
+
+
+def _echoes(client: Client, session: _Session, topic: str, size: int) -> bool:
+    """Publish a message of `size` bytes to ourselves; return whether it came back."""
+    session.published, session.echoed = None, False
+    client.publish(topic, bytes(size), qos=1)
+    _pump(client, lambda: session.echoed or session.is_refused)
+    return session.echoed
+
+
+def _largest_echoed(client: Client, session: _Session, topic: str) -> int | None:
+    """Return the largest size of `_MESSAGE_BYTES` / 2, / 4, ... that comes back; None if not even a small one does."""
+
+    def echoes(size: int) -> bool:
+        if not client.is_connected():  # the broker ends a connection that publishes too much
+            _connect_again(client, session, topic)
+        return _echoes(client, session, topic, size)
+
+    smallest, *others = (_MESSAGE_BYTES >> count for count in range(6, 0, -1))
+    if not echoes(smallest):
+        return None
+    return next((size for size in reversed(others) if echoes(size)), smallest)
+
+
+def _connect_again(client: Client, session: _Session, topic: str) -> None:
+    session.subscribed = []
+    client.drop_out_messages()
+    with suppress(OSError):
+        client.reconnect()
+        _pump(client, client.is_connected)
+        client.subscribe(topic, options=SubscribeOptions(1))
+        _pump(client, lambda: session.subscribed)
+
+
+def _limited(found: str) -> Finding:
+    return warning("broker round trip", f"{found}; the daemon skips larger height maps and clouds", MESSAGE_SIZE_FIX)
 
 
 def judge_round_trip(middle_ms: float) -> Finding:
@@ -273,10 +310,12 @@ def _pump(client: Client, done: Callable[[], object]) -> bool:
 
 
 def _daemon_state(session: _Session, base: str) -> DaemonState:
-    health, camera = (_json(session.messages.get(f"{base}/{name}", b"")) for name in ("health", "status/camera"))
+    health, camera, link = (
+        _json(session.messages.get(f"{base}/{name}", b"")) for name in ("health", "status/camera", "status/broker")
+    )
     state = session.messages.get(f"{base}/state", b"").decode(errors="replace")[:20]
     fps = health.get("delivered_fps", 0.0)
-    reason = camera.get("reason") or health.get("degraded_reason") or ""
+    reason = camera.get("reason") or link.get("reason") or health.get("degraded_reason") or ""
     instance, rival = (_json(session.messages.get(f"{base}/{name}", b"")) for name in ("instance", "status/rival"))
     return DaemonState(
         state,

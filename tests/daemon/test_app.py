@@ -110,6 +110,26 @@ def test_frames_that_the_access_rules_deny_are_none_that_were_published(
     assert frames["published"] == 0
 
 
+def test_a_broker_that_takes_small_messages_only_is_a_degraded_state(
+    tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    with Broker(tmp_path, more=("message_size_limit 4000",)) as broker, Subscriber(broker.port, f"{BASE}/#") as heard:
+        app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
+        try:
+            wait_until(lambda: last(heard, "status/broker").get("state") == "limited", 20, "the reason")
+            assert last(heard, "status/broker")["reason_code"] == "message_size_limit"
+            wait_until(lambda: states(heard)[-1:] == ["degraded"], 10, "degraded")
+            wait_until(lambda: app.app.ledger.counts().failed > 0, 20, "frames that were refused")
+        finally:
+            app.end()
+        assert heard.of(f"{BASE}/contact")
+        assert not heard.of(f"{BASE}/height")
+    counters = app.app.link.counters()
+    assert counters["losses"] == 0
+    assert counters["refused"] > 0
+    assert_accounted(app.app.ledger.counts().as_dict())
+
+
 def test_what_nobody_subscribes_to_is_not_computed_until_someone_does(
     tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:

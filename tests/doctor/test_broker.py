@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.hostile_broker import HostileBroker
 
 from tacshade_edge.doctor import Finding, ok
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon, judge_round_trip
@@ -145,11 +146,22 @@ def test_users(tmp_path: Path) -> None:
 
 @broker_test
 @needs_mosquitto
-def test_a_broker_that_takes_small_packets_only(tmp_path: Path) -> None:
-    with Broker(tmp_path, more=("max_packet_size 20000",)) as broker:
+@pytest.mark.parametrize(
+    ("option", "found"),
+    [("max_packet_size 20000", "at most 20000 bytes"), ("message_size_limit 10000", "9500 bytes but none of 19000")],
+)
+def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, found: str) -> None:
+    with Broker(tmp_path, more=(option,)) as broker:
         small = ask(broker.port)[0]["broker round trip"]
     assert small.state == "warning"
-    assert "20000 bytes" in small.found
+    assert found in small.found
+    assert "message_size_limit" in small.fix
+
+
+def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
+    with HostileBroker(bytes_max=5000, echo=True) as broker:
+        small = ask(broker.port)[0]["broker round trip"]
+    assert "4750 bytes but none of 9500" in small.found
 
 
 @broker_test

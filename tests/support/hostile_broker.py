@@ -27,9 +27,22 @@ def publish(topic: bytes, payload: bytes = b"x") -> bytes:
 
 
 class HostileBroker:
-    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it."""
+    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it.
 
-    def __init__(self, *raw: bytes, extra_codes: int = 0) -> None:
+    It ends a connection that publishes more than `bytes_max`, after the DISCONNECT `last`, and answers others of QoS 1
+    with `code`; with `echo`, it sends these back.
+    """
+
+    def __init__(
+        self,
+        *raw: bytes,
+        extra_codes: int = 0,
+        bytes_max: int = 1 << 28,
+        last: bytes = b"",
+        code: int = 0,
+        echo: bool = False,
+    ) -> None:
+        self._bytes_max, self._last, self._code, self._echo = bytes_max, last, code, echo
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
@@ -68,9 +81,14 @@ class HostileBroker:
                     peer.sendall(packet(0x20, b"\0\0\0"))
                 elif kind == 0x82:
                     peer.sendall(packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra)) + self._raw)
+                elif kind & 0xF0 == 0x30 and len(body) > self._bytes_max:
+                    peer.sendall(self._last)
+                    return
                 elif kind & 0xF6 == 0x32:
                     size = int.from_bytes(body[:2], "big")
-                    peer.sendall(packet(0x40, body[2 + size : 4 + size]))
+                    peer.sendall(packet(0x40, body[2 + size : 4 + size] + bytes((self._code,) if self._code else ())))
+                    if self._echo:
+                        peer.sendall(packet(0x30, body[: 2 + size] + body[4 + size :]))
                 elif kind == 0xC0:
                     peer.sendall(packet(0xD0, b""))
 

@@ -12,7 +12,8 @@ from typing import Any
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, connect_failure, make_client
+from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX
+from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, BrokerAddress, connect, connect_failure, make_client
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -53,7 +54,7 @@ class MqttCaller:
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_subscribe = self._on_subscribe
-        self._client.on_publish = self._on_publish
+        self._client.answered(self._on_answer)
         self._client.receive(self._on_message)
 
     def start(self) -> None:
@@ -78,10 +79,9 @@ class MqttCaller:
         answered = self.wait_for(lambda: transaction in self._replies or self._denied is not None, timeout_s)
         if (denied := self._denied) is not None:
             found = f"{self._where}: rejects {self._base}/req/{self._verb}: {denied}"
-            raise DeviceError(
-                f"{found}; change the broker's access rules (ACL) to allow this user to publish to this topic",
-                code=ReasonCode.REFUSED,
-            )
+            rules = "change the broker's access rules (ACL) to allow this user to publish to this topic"
+            fix = MESSAGE_SIZE_FIX if denied.value == PACKET_TOO_LARGE else rules
+            raise DeviceError(f"{found}; {fix}", code=ReasonCode.REFUSED)
         if not answered:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
             raise DeviceError(f"{found}; is the daemon running?", code=ReasonCode.NO_ANSWER)
@@ -132,7 +132,7 @@ class MqttCaller:
             self._ready, self._failure = True, None
             self._changed.notify_all()
 
-    def _on_publish(self, _client: Client, _userdata: Any, _mid: int, code: MqttCode, _properties: Any) -> None:
+    def _on_answer(self, _mid: int, code: MqttCode) -> None:
         with self._changed:
             self._denied = code if code.is_failure else None
             self._changed.notify_all()

@@ -9,15 +9,19 @@ import sys
 from collections.abc import Callable
 from typing import Any, Final, TypedDict
 
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.client import PUBACK, Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 
 from tacshade_edge.errors import ConfigError
 
 _log = logging.getLogger(__name__)
 
+PACKET_TOO_LARGE: Final = 0x95
+"""Reason code of MQTT 5."""
+_UNSPECIFIED: Final = 0x80
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
 _CONNECT_TIMEOUT_S: Final = 3.0
@@ -47,6 +51,7 @@ class Session(Client):
     """
 
     malformed = 0
+    _unknown_code: int | None = None
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
         """Hand every message to `on_message`, with its topic."""
@@ -62,6 +67,31 @@ class Session(Client):
                 on_message(topic, message)
 
         self.on_message = enter
+
+    def answered(self, on_answer: Callable[[int, ReasonCode], None]) -> None:
+        """Hand the id and reason code of every message that was sent (QoS 0) or answered (QoS 1) to `on_answer`."""
+
+        def enter(_client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any) -> None:
+            value, self._unknown_code = self._unknown_code, None
+            if value is not None:
+                name = "Packet too large" if value == PACKET_TOO_LARGE else f"reason code {value}"
+                code.value, code.names = value, {value: {name: [PacketTypes.PUBACK]}}
+            on_answer(mid, code)
+
+        self.on_publish = enter
+
+    def _packet_handle(self) -> MQTTErrorCode:
+        """Replace a reason code that paho does not expect in a PUBACK: it would end the connection."""
+        body: bytearray = self._in_packet["packet"]
+        if self._in_packet["command"] & 0xF0 == PUBACK and len(body) > 2:
+            try:
+                ReasonCode(PacketTypes.PUBACK, identifier=body[2])
+            except (KeyError, ValueError):
+                self._unknown_code, body[2] = body[2], _UNSPECIFIED
+        try:
+            return super()._packet_handle()
+        finally:
+            self._unknown_code = None
 
     def stop(self) -> None:
         """Disconnect, and end the network thread."""

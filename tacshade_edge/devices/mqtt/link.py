@@ -136,13 +136,13 @@ class MqttLink(Outgoing):
         """
         self._watched[topic] = on_payload
 
-    def _lose(self, reason: Reason | None) -> list[tuple[str, Item]]:
+    def _lose(self, reason: Reason | None, code: int | None = None) -> list[tuple[str, Item]]:
         """Record the loss of the connection; return the items that failed with it. Lock held."""
         if self._stopping:
             self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
         else:
             self._set_reason(reason, BROKERS_LOG)
-        return self._forget()
+        return self._forget(code)
 
     def _with_address(self, code: ReasonCode, text: str) -> Reason:
         return Reason(code, f"{self._where}: {text}")
@@ -204,7 +204,7 @@ class MqttLink(Outgoing):
         )
         with self._lock:
             self._connected = not self._stopping
-            self._packet_bytes_max = packet_bytes_max(properties)
+            self._size_limit.connected(packet_bytes_max(properties), time.monotonic_ns())
             self._counters["connects"] += 1
             self._set_reason(None)
             state = self._outlets["state"]
@@ -221,15 +221,15 @@ class MqttLink(Outgoing):
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if self._connected:
-            self._drop(self._with_address(ReasonCode.LOST, f"connection lost ({code})"))
+            self._drop(self._with_address(ReasonCode.LOST, f"connection lost ({code})"), code.value)
         elif not self._refused and not self._stopping:  # else the refusal stays the reason, or we ended it ourselves
             text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
             with self._lock:
                 self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._tls_ca))
 
-    def _drop(self, reason: Reason) -> None:
+    def _drop(self, reason: Reason, code: int | None = None) -> None:
         with self._lock:
-            failed = self._lose(reason)
+            failed = self._lose(reason, code)
         self._settle("failed", failed)
 
     def _on_subscribe(
@@ -237,7 +237,7 @@ class MqttLink(Outgoing):
     ) -> None:
         with self._lock:
             for topic, code in zip(("req/+", *self._watched), codes, strict=False):
-                self._note(topic, code)
+                self._note(topic, 0, code)
 
     def _on_message(self, topic: str, message: MQTTMessage) -> None:
         if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:

@@ -14,17 +14,18 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Final, Literal, NamedTuple
 
-from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
-from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import Session, packet_bytes, publish_properties
+from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX, with_fix
+from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, Session, packet_bytes, publish_properties
 from tacshade_edge.devices.mqtt.refusals import Refusals
+from tacshade_edge.devices.mqtt.size_limit import SizeLimit
 from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
 from tacshade_edge.protocol.requests import Request
+from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
 
@@ -48,13 +49,22 @@ _COUNTERS: Final = (
 )
 
 
+class _Sent(NamedTuple):
+    """A message that paho holds: the stream's or retained item, or None for a reply or an event; its size in bytes."""
+
+    outlet: TopicSlot | None
+    item: Item | None
+    qos: int
+    size: int
+
+
 class Outgoing:
     """The payloads on their way to one broker.
 
     Parameters
     ----------
     client : Session
-        This object sets its `on_publish`.
+        This object receives its answers.
     where : str
         Name of the broker in the log.
     base_topic : str
@@ -71,19 +81,24 @@ class Outgoing:
         self._connected, self._stopping = False, False
         self._epoch = 0  # counts lost connections: items of an earlier one are already settled
         self._outlets: dict[str, TopicSlot] = {}
-        self._by_mid: dict[int, tuple[TopicSlot, Item, int] | None] = {}  # with its QoS; None: sent once
+        self._by_mid: dict[int, _Sent] = {}
         self._early: dict[int, MqttCode] = {}  # answers that came before publish() returned their mid
         self._answers_open = 0
         self._refusals = Refusals(where)
-        self._packet_bytes_max: int | None = None
-        self._reported_too_large = False
+        self._size_limit = SizeLimit()
+        self._too_large: Reason | None = None
         self._counters: Counter[str] = Counter()
-        client.on_publish = self._on_publish
+        client.answered(self._on_answer)
 
     @property
     def connected(self) -> bool:
         """Whether the broker has accepted us."""
         return self._connected
+
+    @property
+    def limited(self) -> Reason | None:
+        """Why the broker gets no large messages; None while no message has exceeded its limit."""
+        return self._too_large
 
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
@@ -158,12 +173,14 @@ class Outgoing:
                 epoch = self._epoch
                 if item is None:
                     return
-                if too_large := self._too_large(outlet.topic, item.payload, outlet.properties):
+                now_ns = time.monotonic_ns()
+                size = packet_bytes(self._path(outlet.topic), item.payload, outlet.properties)
+                if too_large := self._exceeds(outlet.topic, size, now_ns):
                     outlet.done(item)
                     outlet.busy = False
                     self._counters["refused"] += outlet.retain
                 else:
-                    qos = outlet.next_qos(time.monotonic_ns())
+                    qos = max(outlet.next_qos(now_ns), self._size_limit.untried(size))
             if too_large:
                 if not outlet.retain:
                     self._settle("refused", [(outlet.topic, item)])
@@ -179,9 +196,9 @@ class Outgoing:
                     failed = outlet.refuse(item)
                     settled = None if failed is None else ("failed", failed)
                 elif (code := self._early.pop(info.mid, None)) is not None:
-                    settled = (self._done(outlet, item, qos, code), item)
+                    settled = (self._done(outlet, item, qos, size, code), item)
                 else:
-                    self._by_mid[info.mid] = (outlet, item, qos)
+                    self._by_mid[info.mid] = _Sent(outlet, item, qos, size)
             if settled is not None:
                 self._settled(outlet, *settled)
             if not taken:
@@ -212,8 +229,9 @@ class Outgoing:
         It is dropped if not connected, if too large, or if 16 are still unacknowledged.
         """
         properties = publish_properties(_JSON, correlation=correlation)
+        size = packet_bytes(self._path(topic), payload, properties)
         with self._lock:
-            too_large = self._too_large(topic, payload, properties)
+            too_large = self._exceeds(topic, size, time.monotonic_ns())
             if too_large or not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
                 self._counters[f"{kind}_dropped"] += 1
                 self._counters["refused"] += too_large
@@ -228,31 +246,40 @@ class Outgoing:
             if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
                 self._answers_open -= 1
             elif (code := self._early.pop(info.mid, None)) is not None:
-                self._answered(code)
+                self._answered(size, code)
             else:
-                self._by_mid[info.mid] = None
+                self._by_mid[info.mid] = _Sent(None, None, 1, size)
 
-    def _answered(self, code: MqttCode) -> None:
+    def _answered(self, size: int, code: MqttCode) -> None:
         """Record the broker's answer to a reply or an event. Lock held."""
         self._answers_open -= 1
-        self._note("res or event", code)
+        self._note("res or event", size, code)
         self._counters["refused"] += code.is_failure
 
-    def _done(self, outlet: TopicSlot, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
+    def _done(self, outlet: TopicSlot, item: Item, qos: int, size: int, code: MqttCode) -> PayloadOutcome:
         """Record that paho sent an item (QoS 0) or the broker answered it (QoS 1); return its outcome. Lock held."""
         outlet.done(item)
+        self._changed.notify_all()
         if qos == 1:
+            self._note(outlet.topic, size, code)
+            self._counters["refused"] += outlet.retain and code.is_failure
+            if code.value == PACKET_TOO_LARGE:  # which says nothing about the topic
+                outlet.refused = bool(outlet.refused)
+                return "refused"
             outlet.no_listener = code.value == _NO_LISTENER
             outlet.refused = code.is_failure
-            self._note(outlet.topic, code)
-            self._counters["refused"] += outlet.retain and code.is_failure
-        self._changed.notify_all()
         # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
         refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
         return "refused" if refused else "published"
 
-    def _note(self, topic: str, code: MqttCode) -> None:
-        """Record whether the broker accepts a topic. Lock held."""
+    def _note(self, topic: str, size: int, code: MqttCode) -> None:
+        """Record whether the broker accepts a message, and so its size and its topic. Lock held."""
+        if code.value == PACKET_TOO_LARGE:
+            now_ns = time.monotonic_ns()
+            self._size_limit.rejected(size, now_ns)
+            self._exceeds(topic, size, now_ns)
+            return
+        self._size_limit.took(size)
         if code.is_failure:
             which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
             expected = f"expected access rules (ACL) that allow this user to publish to {which}"
@@ -260,19 +287,17 @@ class Outgoing:
         else:
             self._refusals.taken(self._path(topic))
 
-    def _too_large(self, topic: str, payload: bytes, properties: Properties) -> bool:
-        """Whether the broker would end the connection for this message. Lock held."""
-        size, most = packet_bytes(self._path(topic), payload, properties), self._packet_bytes_max
-        if most is None or size <= most:
-            return False
-        if not self._reported_too_large:
-            text = (
-                "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size), "
-                "so this client skipped %s, which has %d bytes"
-            )
-            _log.warning(text + "; similar messages are not logged again", self._where, most, self._path(topic), size)
-        self._reported_too_large = True
-        return True
+    def _exceeds(self, topic: str, size: int, now_ns: int) -> bool:
+        """Whether a message is larger than the broker accepts. Lock held."""
+        exceeds = self._size_limit.refuses(size, now_ns)
+        why = self._size_limit.why
+        if exceeds and self._too_large is None:
+            skipped = f"so this client skips {self._path(topic)} of {size} bytes, and other large messages"
+            self._too_large = Reason(ReasonCode.MESSAGE_SIZE_LIMIT, f"{self._where}: {why}, {skipped}")
+            _log.warning("%s", with_fix(self._too_large, MESSAGE_SIZE_FIX))
+        elif not why:
+            self._too_large = None
+        return exceeds
 
     def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
         """Report the outcome of stream items. Lock not held."""
@@ -281,8 +306,11 @@ class Outgoing:
         for stream, item in items:
             self._on_outcome(stream, item.seq, outcome)
 
-    def _forget(self) -> list[tuple[str, Item]]:
-        """Forget the connection; return the stream items that failed with it. Lock held."""
+    def _forget(self, code: int | None) -> list[tuple[str, Item]]:
+        """Forget the connection, which the broker ended with `code`; return the stream items that failed. Lock held."""
+        if self._connected and not self._stopping:
+            unanswered = [sent.size for sent in self._by_mid.values() if sent.qos == 1]
+            self._size_limit.lost(unanswered, code == PACKET_TOO_LARGE, time.monotonic_ns())
         self._counters["losses"] += self._connected and not self._stopping
         self._connected = False
         self._epoch += 1
@@ -292,16 +320,15 @@ class Outgoing:
         self._changed.notify_all()
         return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
 
-    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: MqttCode, _properties: Any) -> None:
+    def _on_answer(self, mid: int, code: MqttCode) -> None:
         with self._lock:
             if mid not in self._by_mid:
                 self._early[mid] = code
                 return
-            entry = self._by_mid.pop(mid)
-            if entry is None:
-                self._answered(code)
+            outlet, item, qos, size = self._by_mid.pop(mid)
+            if outlet is None or item is None:
+                self._answered(size, code)
                 return
-            outlet, item, qos = entry
-            outcome = self._done(outlet, item, qos, code)
+            outcome = self._done(outlet, item, qos, size, code)
         self._settled(outlet, outcome, item)
         self._pump(outlet)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, offer_for
 
-from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.requests import Request
@@ -76,45 +75,6 @@ class TestRefused:
             seen.wait_for(f"{BASE}/height", 4)
             assert rig.counts("cloud") == {"refused": 5}
             assert rig.counts("height") == {"published": 4}
-            rig.link.stop(2)
-
-    def test_a_message_larger_than_the_broker_takes_is_refused_and_the_connection_stays(
-        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        with Broker(tmp_path, more=("max_packet_size 2000",)) as broker:
-            rig = Rig(broker.port).connect()
-            with Subscriber(broker.port, f"{BASE}/#") as seen:
-                rig.link.set_retained("info", bytes(3000))
-                for seq, size in enumerate((38_000, 2000, 1800, 38_000)):
-                    rig.link.offer("height", bytes(size), seq)
-                    wait_until(lambda seq=seq: rig.counts("height").total() == seq + 1, 5, "settled")
-                rig.link.reply(Request("status"), bytes(5000))
-                rig.link.reply(Request("status"), b"small")
-                seen.wait_for(f"{BASE}/res/status")
-                assert [len(payload) for payload in seen.of(f"{BASE}/height")] == [1800]
-            assert [outcome for _, outcome in rig.outcomes["height"]] == ["refused", "refused", "published", "refused"]
-            assert rig.link.counters() | {"connects": 1, "losses": 0, "refused": 5} == rig.link.counters()
-            rig.link.stop(2)
-        told = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-        assert len(told) == 1
-        assert (
-            f"accepts packets of at most 2000 bytes (mosquitto: max_packet_size), so this client skipped "
-            f"{BASE}/info, which has 30" in told[0]
-        )
-
-    @pytest.mark.parametrize("extra", range(-9, 3))
-    def test_the_largest_packet_is_told_from_the_first_that_is_too_large(self, tmp_path: Path, extra: int) -> None:
-        """Never a connection lost, and no more than some bytes of the broker's bound given away."""
-        with Broker(tmp_path, more=("max_packet_size 1000",)) as broker:
-            rig = Rig(broker.port).connect()
-            around = packet_bytes(f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5))
-            for seq in range(2):  # with QoS 1, then 0
-                rig.link.offer("contact", bytes(1000 - around + extra), seq)
-                wait_until(lambda seq=seq: rig.counts("contact").total() == seq + 1, 5, "settled")
-            assert rig.counts("contact") == {"published" if extra <= 0 else "refused": 2}
-            rig.link.reply(Request("status"), b"")
-            wait_until(lambda: rig.link.counters()["replies"] == 1, 5, "still connected")
-            assert rig.link.counters()["losses"] == 0
             rig.link.stop(2)
 
     def test_something_else_on_the_port(self) -> None:
