@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
-from tacshade_edge.core.calibration.presses.coverage import advice
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.quality import advice
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder, TakenPress
 from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.storage.tables.tables import number

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.observation.fixed_indenter import FixedIndenter, Touch, fixed_indenter
+from tacshade_edge.core.calibration.machine import FixedIndenter, Touch, fixed_indenter
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.storage.tables.presses import BALL

@@ -13,7 +13,7 @@ from tacshade_edge.capture.live import STILL_FRAMES, Live
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE

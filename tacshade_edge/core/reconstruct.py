@@ -19,11 +19,10 @@ from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
 from tacshade_edge.core.frame_check.unchanged import UnchangedSkin
 from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.core.geometry.sensor_rays import rays_in_image
+from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.core.touch.answer import touch_by_model, touch_without_labels
-from tacshade_edge.core.touch.imprint import imprint_of
+from tacshade_edge.core.touch.answer import imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import (
     F32,

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from tacshade_edge.core.stitching.press_points import PressPoints, press_points
-from tacshade_edge.core.stitching.rest import RestDetector
+from tacshade_edge.core.stitching.press_points import PressPoints, RestDetector, press_points
 from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session

@@ -47,7 +47,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
     if version is None or inputs is None:
         return _running(path, calibration_file.load(path))
-    from tacshade_edge.core.calibration.recalibration import make_again  # needed only after an update
+    from tacshade_edge.core.calibration.calibrate import make_again  # needed only after an update
 
     _log.warning(
         "%s: found version %s, expected %d; recalibrating from the file's images",

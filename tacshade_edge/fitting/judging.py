@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.refit import gain
-from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma
-from tacshade_edge.core.calibration.refit.profile_refit import placed_press
+from tacshade_edge.core.calibration.refit import error_scale, errors_in_sigma, placed_press
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import LearnedSolver
-from tacshade_edge.core.geometry.sensor_rays import rays_in_image
+from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F64, Calibration
@@ -58,9 +57,9 @@ def on_presses(
         at = placed_press(geometry, inverse, press)
         if at is None:
             continue
-        truth, use = gain.known_cells(inverse, geometry, at)
+        truth, use = refit.known_cells(inverse, geometry, at)
         use &= inside
-        if np.count_nonzero(use) < gain.LEAST_CELLS:
+        if np.count_nonzero(use) < refit.LEAST_CELLS:
             continue
         height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(np.float32)
         errors[press.indenter.name if press.indenter else "ball"].append(float(np.abs(height - truth)[use].mean()))

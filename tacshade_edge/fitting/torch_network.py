@@ -81,7 +81,7 @@ class TorchNetwork:
         ----------
         white : Tensor float32 (B, fold², N, N)
         known : Tensor float32 (B, fold² + 6, N, N)
-            What is known of each frame's sensor (`core.depth.network_maps.known_maps`).
+            What is known of each frame's sensor (`core.depth.learned.known_maps`).
         """
         once = [weight for name, weight in self._weights.items() if name.startswith(_ONCE)]
         weight = next(each for each in once if each.dim() == 4)

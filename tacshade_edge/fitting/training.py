@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.fitting.loss import COARSE_CELLS, depth_loss, shear_loss, split_output
 from tacshade_edge.fitting.torch_network import TorchNetwork

@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.imprint import imprint_of
+from tacshade_edge.core.touch.answer import imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.inference.network import SHEAR, load_network, touch_networks
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need

@@ -127,7 +127,7 @@ class Calibration:
     alpha : float
         The paper's α: depth of a normalised height of 1, in pixels.
     factors : mapping of str to float
-        Factor on h of each profile that was refitted to presses (`core.calibration.refit.gain`).
+        Factor on h of each profile that was refitted to presses (`core.calibration.refit`).
     fit : Fit or None
         Quality of the fit to ball presses; None without presses.
     fitted : mapping of str to FittedNetwork

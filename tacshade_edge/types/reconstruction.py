@@ -107,7 +107,7 @@ class TouchedObject:
     slip_mm_s : float or None
         Speed of the object's imprint over the skin.
     margin : float or None
-        Margin before the object slips: 1 is firm, 0 is sliding (`core.contact.margin`).
+        Margin before the object slips: 1 is firm, 0 is sliding (`core.contact.tracking`).
     """
 
     label: int

@@ -82,7 +82,7 @@ class TouchModel:
         Limits beyond which a frame is unlike those of the table: for the `leverage` of its coordinates, and for the
         share of its standardised features that the components leave out.
     imprint_weights : float32 (T, I)
-        Map from the terms of the predicted quantities to their imprint in the table (`core.touch.imprint`).
+        Map from the terms of the predicted quantities to their imprint in the table (`core.touch.answer`).
     imprint_precision : float32 (I, I)
         Inverse covariance of the imprint errors of held-out frames, divided by I.
     imprint_max : float

@@ -23,7 +23,7 @@ from support.calibrated_sensor import (
 from support.toy_network import saying
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE, fold
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor

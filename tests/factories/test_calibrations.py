@@ -13,9 +13,8 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 from support.fitted import fitted_network, fitted_with
 
-from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import Inputs
-from tacshade_edge.core.calibration.recalibration import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations

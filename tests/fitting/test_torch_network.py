@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.float_network import float_network
 
-from tacshade_edge.core.depth.network_maps import KNOWN
+from tacshade_edge.core.depth.learned import KNOWN
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import network_files
 from tacshade_edge.inference.onnx_weights import values_of

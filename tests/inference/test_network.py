@@ -14,8 +14,7 @@ from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.core.depth.learned import Network
-from tacshade_edge.core.depth.network_maps import KNOWN
+from tacshade_edge.core.depth.learned import KNOWN, Network
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network, load_networks, make_reconstructor
@@ -140,7 +139,7 @@ def test_calibrations_are_of_the_shipped_weights() -> None:
 
 RUN = """
 import numpy as np
-from tacshade_edge.core.depth.network_maps import KNOWN
+from tacshade_edge.core.depth.learned import KNOWN
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks
 for name, network in load_networks().items():

@@ -17,8 +17,7 @@ from support.extreme_images import EXTREME_IMAGES
 from support.float_network import float_network
 
 from tacshade_edge.core.depth import Network, NetworkMaps
-from tacshade_edge.core.depth.learned import Inverse, LearnedInverse
-from tacshade_edge.core.depth.shear import LearnedShear
+from tacshade_edge.core.depth.learned import Inverse, LearnedInverse, LearnedShear
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry

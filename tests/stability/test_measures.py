@@ -12,14 +12,15 @@ from hypothesis.extra.numpy import arrays
 from support.examples import examples
 from support.toy_network import ALL_TRUSTED
 
-from tacshade_edge.core.calibration.refit import gain
+from tacshade_edge.core.calibration import refit
+from tacshade_edge.core.calibration.indenters import Ball
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry.disc_map import CELLS
 from tacshade_edge.studies.evaluate.score import contact_iou, score_cloud
 from tacshade_edge.types import F32, Disc, Geometry
 
 clouds = arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32))
-BALL = gain.Ball(0.0, 0.0, 23.0, 5.0)
+BALL = Ball(0.0, 0.0, 23.0, 5.0)
 
 
 @pytest.mark.slow
@@ -63,9 +64,9 @@ def test_a_factor_is_in_its_range_whatever_the_network_said(
     distance_mm: float | None, height_mm: float, bad: float | None
 ) -> None:
     geometry = Geometry(20.0, distance_mm, 50.0, Disc(60.0, 60.0, 50.0))
-    rows = gain.press_rows(inverse_of(height_mm, bad), geometry, BALL)
+    rows = refit.press_rows(inverse_of(height_mm, bad), geometry, BALL)
     if rows is None:
         return
-    factor = gain.fit_factor([rows] * gain.LEAST_PRESSES)
+    factor = refit.fit_factor([rows] * refit.LEAST_PRESSES)
     assert factor is not None
-    assert gain.FACTOR_RANGE[0] <= factor <= gain.FACTOR_RANGE[1]
+    assert refit.FACTOR_RANGE[0] <= factor <= refit.FACTOR_RANGE[1]

@@ -8,7 +8,7 @@ from support.calibrated_sensor import references, sensor_of, simulated
 from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation.press_observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor

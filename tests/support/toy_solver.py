@@ -7,7 +7,7 @@ import numpy as np
 from tacshade_edge.core.depth import Depth, Network
 from tacshade_edge.core.depth.base import Features, Mark
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.sensor_rays import rays_in_image
+from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 

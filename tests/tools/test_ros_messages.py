@@ -9,7 +9,7 @@ import pytest
 from support.published_sensor import CRC, bump
 from tacshade_client import CloudMessage, HeightMessage, TouchNumbers, decode
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
+from tacshade_edge.core.calibration.indenters import Indenter, place
 from tacshade_edge.protocol import wire
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8

@@ -22,14 +22,13 @@ import numpy as np
 from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.observation.press_observation import (
+from tacshade_edge.core.calibration.observation import (
     PressObservation,
     first_touch_mm,
     observe_press,
 )
+from tacshade_edge.core.calibration.presses.press_check import PressViewer, as_seen, question
 from tacshade_edge.core.calibration.presses.press_outliers import outliers
-from tacshade_edge.core.calibration.presses.press_question import question
-from tacshade_edge.core.calibration.presses.press_view import PressViewer, as_seen
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
 from tacshade_edge.core.calibration.skin_scale import skin_scale

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.contact.rigid_motion import about_mean, rigid_motions
+from tacshade_edge.core.contact.objects import about_mean, rigid_motions
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press

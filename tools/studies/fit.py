@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 import tacshade_edge
+from tacshade_edge.core.calibration import indenters as shapes
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.indenters import indenter
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
@@ -88,11 +88,11 @@ def indenters(scale: float, balls: bool) -> list[tuple[Shape, float, float, Inde
     if balls:
         return made
     for radius in (2.5 * scale, 4.0 * scale):
-        flat = indenter.cylinder(f"flat {2 * radius:.1f}", radius)
+        flat = shapes.cylinder(f"flat {2 * radius:.1f}", radius)
         made.append((OBJECTS["cylinder"](), radius / CYLINDER_MM, 0.0, flat))
     side, radius, length = 6 * scale, 2 * scale, 12 * scale
-    made.append((ridge(side, side), 1.0, 0.0, indenter.box("square", side, side)))
-    made.append((lying(radius, length), 1.0, 0.0, indenter.bar("bar", radius, length)))
+    made.append((ridge(side, side), 1.0, 0.0, shapes.box("square", side, side)))
+    made.append((lying(radius, length), 1.0, 0.0, shapes.bar("bar", radius, length)))
     return made
 
 

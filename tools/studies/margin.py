@@ -18,8 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from tacshade_edge.core.contact.margin import ALARM
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
+from tacshade_edge.core.contact.tracking import ALARM, ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.drag import SLIDES
 from tacshade_edge.simulator.objects import OBJECTS

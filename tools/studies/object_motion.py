@@ -27,8 +27,8 @@ import numpy as np
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.hand.link import Patch
 from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
-from tacshade_edge.core.hand.patch import Patch
 from tacshade_edge.core.reconstruct import step_and_track
 from tacshade_edge.hand import patches_of
 from tacshade_edge.protocol.hand import finger_of

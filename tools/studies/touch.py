@@ -26,8 +26,7 @@ import numpy as np
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.answer import touch_by_model
-from tacshade_edge.core.touch.imprint import imprint_of
+from tacshade_edge.core.touch.answer import imprint_of, touch_by_model
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network

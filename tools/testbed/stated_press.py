@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8

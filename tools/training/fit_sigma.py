@@ -24,11 +24,11 @@ from scipy.optimize import minimize
 from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.refit.profile_refit import refit_profile
+from tacshade_edge.core.calibration.refit import refit_profile
 from tacshade_edge.core.contact.objects import contact_of
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import INTERVAL_90, TERMS, SigmaModel, sigma_of_scale_1, terms
-from tacshade_edge.core.geometry.sensor_rays import rays_in_image
+from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import no_mark

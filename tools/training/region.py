@@ -20,7 +20,7 @@ import torch
 from torch.nn import functional
 
 from tacshade_edge.core.depth import NetworkMaps
-from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.observation.touches import first_touch_mm
+from tacshade_edge.core.calibration.machine import first_touch_mm
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.printer_file import PrinterFile
 from tacshade_edge.storage.tables.capture_folder import Stated

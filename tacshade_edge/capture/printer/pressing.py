@@ -22,8 +22,8 @@ from tacshade_edge.capture.printer.touch import NEAR_MM, ContactDetector, Touch
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.observation.press_observation import pictured_places
-from tacshade_edge.core.calibration.observation.touches import Stand, first_touch_mm, skin_centre, stand, yaw_of
+from tacshade_edge.core.calibration.machine import Stand, first_touch_mm, skin_centre, stand, yaw_of
+from tacshade_edge.core.calibration.observation import pictured_places
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.protocol import gcode

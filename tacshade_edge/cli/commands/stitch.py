@@ -15,9 +15,8 @@ import numpy as np
 from tacshade_edge.cli.shared.options import add_option, add_profile, tell
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.flange import FoundFlange, find_flange
+from tacshade_edge.core.stitching.flange import FoundFlange, delay_seen, find_flange, unseen
 from tacshade_edge.core.stitching.flange_equations import ContactFrame
-from tacshade_edge.core.stitching.flange_motions import delay_seen, unseen
 from tacshade_edge.core.stitching.refinement import correction
 from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.core.stitching.surface_map import STEP_MM

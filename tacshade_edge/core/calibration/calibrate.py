@@ -1,4 +1,4 @@
-"""Compute a `Calibration` from references and known presses."""
+"""Compute a `Calibration` from references and known presses, and repeat it when the program has changed."""
 
 from __future__ import annotations
 
@@ -7,24 +7,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.observation.press_observation import position_mae_mm
-from tacshade_edge.core.calibration.presses.coverage import missing_coverage
-from tacshade_edge.core.calibration.presses.depth_zero import travel_mistake, zero_hint
+from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
+from tacshade_edge.core.calibration.observation import position_mae_mm
+from tacshade_edge.core.calibration.presses.press_outliers import agreement_mae_mm
 from tacshade_edge.core.calibration.presses.press_selection import select_presses
-from tacshade_edge.core.calibration.presses.travel_fit import agreement_mae_mm
-from tacshade_edge.core.calibration.quality import AGREEMENT_FAIR_MM, GRADED_PROFILE, UNCALIBRATED, Quality, assess
+from tacshade_edge.core.calibration.presses.table_check import travel_mistake, zero_hint
+from tacshade_edge.core.calibration.quality import (
+    AGREEMENT_FAIR_MM,
+    GRADED_PROFILE,
+    UNCALIBRATED,
+    Quality,
+    assess,
+    missing_coverage,
+)
 from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.calibration.reference.references import (
     ASSUMED_NOISE_GREY,
     check_references,
+    rezero,
     with_reference,
 )
 from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
-from tacshade_edge.core.calibration.refit.profile_refit import refit_profile
+from tacshade_edge.core.calibration.refit import refit_profile
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Fit, Geometry
@@ -136,3 +144,21 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
         flange_T_sensor=sensor.flange_T_sensor,
     )
     return with_reference(calibration, greys)
+
+
+def inputs_of(sensor: Sensor, references: Sequence[U8], presses: Sequence[KnownPress]) -> Inputs:
+    """Keep the inputs of `calibrate`, the images in grey, which is all that it uses."""
+    greys = tuple(to_grey(image) for image in references)
+    return Inputs(sensor, greys, tuple(replace(press, image=to_grey(press.image)) for press in presses))
+
+
+def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:
+    """The same inputs after `rezero` with these images."""
+    return replace(inputs, renewed=tuple(to_grey(image) for image in images))
+
+
+def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
+    """Repeat a calibration with the present program. Raises ConfigError if that can no longer use these inputs."""
+    # The first calibration already warned of a loaded reference, or rejected it.
+    made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
+    return rezero(made, inputs.renewed, True) if inputs.renewed else made

@@ -1,15 +1,28 @@
-"""Grade a calibration in one line, with advice if it is not good."""
+"""Grade a calibration in one line, with advice: do presses cover disc, depths and sizes, and how well do they fit?"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
+
+import numpy as np
 
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.types import Fit, Geometry
+from tacshade_edge.types import F64, Fit, Geometry
 
+# docs/how-to/calibration.md advises at least this many.
+_FEW_PRESSES = 16
+# As part of the visible circle's radius: reach of the presses, their least RMS distance from their mean, and least
+# reach on each side.
+_REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
+# As part of the skin's radius: depths and ball radii to advise, and the least depth of the deepest press.
+_DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
+# Least ratio of the greatest to the smallest.
+_DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
+# Grid of candidates for the next press: places along the disc's diameter, and depths.
+_GRID_PLACES, _GRID_DEPTHS = 11, 5
 Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
 GRADED_PROFILE = "accurate"
@@ -19,6 +32,121 @@ GRADED_PROFILE = "accurate"
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
 _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
+
+
+class Pressed(Protocol):
+    """What counts in a press: place, depth and ball radius in mm, and the indenter's name, empty for a ball."""
+
+    @property
+    def place_mm(self) -> tuple[float, float]: ...
+    @property
+    def depth_mm(self) -> float: ...
+    @property
+    def radius_mm(self) -> float: ...
+    @property
+    def indenter(self) -> str: ...
+
+
+def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[str, ...]:
+    """A line of advice for each gap in the presses."""
+    places = np.array([press.place_mm for press in presses])
+    depths = np.array([press.depth_mm for press in presses])
+    few = len(presses) < _FEW_PRESSES
+    lines = (
+        f"{len(presses)} presses: 20 to 40 make the depth and its error more certain" if few else "",
+        _missing_places(places, geometry),
+        _missing_depths(float(depths.min()), float(depths.max()), geometry),
+        _missing_sizes(presses, geometry),
+    )
+    return tuple(line for line in lines if line)
+
+
+def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
+    """The most useful next press, in a line. Needs at least one press."""
+    x_mm, y_mm, depth_mm = widest_gap(presses, geometry)
+    where = f"around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep"
+    if not missing_coverage(presses, geometry):
+        return f"{len(presses)} presses cover everything; one more helps most {where}"
+    sizes = _missing_sizes(presses, geometry)
+    return f"the next press helps most {where}" + (f"; {sizes}" if sizes else "")
+
+
+def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
+    """Find x, y and depth furthest from any of the presses (at least one), among those that they should cover (M. E.
+    Johnson, L. M. Moore, D. Ylvisaker, "Minimax and maximin distance designs", 1990).
+    """
+    reach_mm = _REACH_RHO * _visible_mm(geometry)
+    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
+    scale_mm, begin_mm = np.array((reach_mm, reach_mm, deep_mm - shallow_mm)), np.array((0.0, 0.0, shallow_mm))
+    side = np.linspace(-1, 1, _GRID_PLACES)
+    grid = np.stack(np.meshgrid(side, side, np.linspace(0, 1, _GRID_DEPTHS), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = grid[grid[:, 0] ** 2 + grid[:, 1] ** 2 <= 1 + 1e-9]
+    taken = (np.array([(*press.place_mm, press.depth_mm) for press in presses]) - begin_mm) / scale_mm
+    gap = np.linalg.norm(grid[:, None] - taken, axis=2).min(axis=1)
+    x_mm, y_mm, depth_mm = (float(v) for v in grid[int(np.argmax(gap))] * scale_mm + begin_mm)
+    return x_mm, y_mm, depth_mm
+
+
+def _visible_mm(geometry: Geometry) -> float:
+    """Radius of the visible circle in its plane, mm."""
+    return geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+
+
+def _missing_places(places: F64, geometry: Geometry) -> str:
+    visible_mm = _visible_mm(geometry)
+    middle = places.mean(axis=0)
+    rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
+    reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
+    if rms_mm < _LEAST_RMS_RHO * visible_mm:
+        x_mm, y_mm = (round(float(v)) for v in middle)
+        return (
+            f"the presses lie close together, around x {x_mm}, y {y_mm} mm: "
+            f"depth elsewhere is a guess; add presses {reach}"
+        )
+    side_mm = _SIDE_RHO * visible_mm
+    empty = {
+        "at x < 0": places[:, 0].min() > -side_mm,
+        "at x > 0": places[:, 0].max() < side_mm,
+        "at y < 0": places[:, 1].min() > -side_mm,
+        "at y > 0": places[:, 1].max() < side_mm,
+    }
+    sides = " or ".join(side for side, is_empty in empty.items() if is_empty)
+    return f"no press lies {sides}: add some {reach}" if sides else ""
+
+
+def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
+    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
+    if high_mm < _DEPTH_RATIO * low_mm:
+        return (
+            f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: other depths are a guess; "
+            f"add some from {shallow_mm:.1f} to {deep_mm:.1f} mm"
+        )
+    if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
+        return (
+            f"no press is deeper than {high_mm:.1f} mm, so deeper contacts saturate; add some down to {deep_mm:.1f} mm"
+        )
+    return ""
+
+
+def _missing_sizes(presses: Sequence[Pressed], geometry: Geometry) -> str:
+    indenters = {press.indenter for press in presses}
+    if len(indenters) > 1:
+        return ""
+    radii = [press.radius_mm for press in presses if not press.indenter]
+    if radii:
+        return _missing_ball_radii(min(radii), max(radii), geometry)
+    return f"all presses use {indenters.pop()}: other shapes and sizes are less certain; add balls or another indenter"
+
+
+def _missing_ball_radii(small_mm: float, large_mm: float, geometry: Geometry) -> str:
+    if large_mm >= _BALL_RADIUS_RATIO * small_mm:
+        return ""
+    if small_mm == large_mm:
+        radii = f"all balls have a radius of {small_mm:g} mm"
+    else:
+        radii = f"all balls have radii of {small_mm:g} to {large_mm:g} mm"
+    low_mm, high_mm = (part * geometry.skin_radius_mm for part in _BALL_RADII)
+    return f"{radii}: smaller and larger things are less certain; add balls of {low_mm:.0f} to {high_mm:.0f} mm"
 
 
 @dataclass(frozen=True, slots=True)

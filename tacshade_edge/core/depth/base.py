@@ -70,7 +70,7 @@ class Network:
     """A network and the layout of its maps; N = cells / fold: each square of fold x fold cells becomes fold² channels.
 
     Its first layer is linear in its input, so a sensor's reference contributes the same to every frame: `sense` maps
-    the folded white of the reference and `network_maps.KNOWN` maps, (fold² + KNOWN, N, N), to that contribution,
+    the folded white of the reference and `learned.KNOWN` maps, (fold² + KNOWN, N, N), to that contribution,
     (channels, N, N). `run` maps the folded white of a frame, (fold², N, N), and that to `NetworkMaps`; `run_touch` also
     returns features (D,) for a touch model (`core.touch`). `shear` runs in addition if requested.
     """

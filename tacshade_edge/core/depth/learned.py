@@ -3,25 +3,88 @@
 The network is trained on simulated sensors alone (tools/training). It sees every sensor on the same square of cells
 (`core.geometry.disc_map`), with what is known of it; its heights are in tenths of the disc's radius. The caller chooses
 how to run it (`inference.network` uses ONNX Runtime).
+
+Compute the skin's tangential shear by a separate network, trained like that of depth (`learned`).
+
+It runs in addition to depth on request, one for all profiles, and shares nothing with the network of depth, which needs
+all its few channels for depth.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import cast
 
+import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
-from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
-from tacshade_edge.core.depth.shear import LearnedShear
+from tacshade_edge.core.depth.base import Depth, Features, Mark, Network, ShearNetwork
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.sensor_rays import rays_in_image
+from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, Geometry, freeze
 
+KNOWN = 6
+"""Number of maps of `disc_map.geometry_maps`."""
+
+HEIGHT_SCALE = 10.0
+"""Number of the networks' units of length in the disc's radius."""
 # On a skin of 20 mm the training presses end at 6.5 mm; deeper ones read 6.2 to 6.9.
 DEEPEST_RADII = 0.31
+
+
+def scale_mm(geometry: Geometry) -> np.float32:
+    """The factor from the networks' lengths to mm."""
+    unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    return np.float32(unit_mm / HEIGHT_SCALE)
+
+
+def known_maps(geometry: Geometry, pitch_px: float, reference_white: F32, by: int) -> F32:
+    """The maps of what is known of a sensor, (by² + KNOWN, N / by, N / by)."""
+    known = disc_map.geometry_maps(geometry, pitch_px, len(reference_white))
+    return np.concatenate((fold(reference_white[None], by), known[:, ::by, ::by]))
+
+
+def fold(maps: F32, by: int) -> F32:
+    """Fold (C, N, N) to (by² C, N/by, N/by): each square of by x by cells becomes by² channels."""
+    c, n, _ = maps.shape
+    part = n // by
+    folded = maps.reshape(c, part, by, part, by).transpose(0, 2, 4, 1, 3)
+    return np.ascontiguousarray(folded).reshape(by * by * c, part, part)
+
+
+def unfold(maps: F32, by: int) -> F32:
+    """Invert `fold`: (by² C, N/by, N/by) to (C, N, N)."""
+    c, part, _ = maps.shape
+    unfolded = maps.reshape(c // by**2, by, by, part, part).transpose(0, 3, 1, 4, 2)
+    return np.ascontiguousarray(unfolded).reshape(c // by**2, by * part, by * part)
+
+
+class LearnedShear:
+    """The network of shear, prepared for one sensor; `reference_white` is as for `LearnedInverse`."""
+
+    def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
+        self._network = network
+        self._mm = scale_mm(geometry)
+        self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
+
+    def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
+        """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N); features go
+        to `features`.
+        """
+        folded = fold(white[None], self._network.fold)
+        if features is None or self._network.run_touch is None:
+            found = self._network.run(folded, self._sensor)
+        else:
+            found, some = self._network.run_touch(folded, self._sensor)
+            features.append(some)
+        coarse = np.ascontiguousarray(np.moveaxis(found, 0, 2))
+        if not np.isfinite(coarse).all():
+            coarse = np.nan_to_num(coarse, posinf=0.0, neginf=0.0)
+        coarse *= self._mm
+        return cast(F32, cv2.resize(coarse, (cells, cells), interpolation=cv2.INTER_LINEAR))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import Grid
-from tacshade_edge.types import F32, Disc, Geometry
+from tacshade_edge.core.geometry.disc import DiscRays, Grid, cells_in_image, disc_rays
+from tacshade_edge.types import F32, Calibration, Disc, Geometry
 
 CELLS = 112
 """Default number of cells along a side."""
@@ -46,3 +46,10 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
         cosine = (along * k - d) / np.sqrt(k)
     pitch = np.full_like(x, 10 * pitch_px / disc.radius_px)
     return np.stack((x, y, gain * x, gain * y, cosine, pitch)).astype(np.float32)
+
+
+def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
+    """`disc_rays`, with cells of the disc beyond the image counted as outside."""
+    rays = disc_rays(grid, calibration.geometry)
+    in_image = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
+    return DiscRays(inside=rays.inside & in_image, u=rays.u, v=rays.v)

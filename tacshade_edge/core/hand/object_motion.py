@@ -22,10 +22,12 @@ from tacshade_edge.core.hand.link import (
     UNKNOWN_SD_MM,
     Link,
     LinkMotion,
+    Patch,
+    Patches,
     begin,
     solve,
+    stack,
 )
-from tacshade_edge.core.hand.patch import Patch, Patches, stack
 from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
 from tacshade_edge.types import F64, freeze
 

@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tacshade_edge.core.stitching.overlap_cells import overlap_cells
 from tacshade_edge.core.stitching.poses import interpolate
+from tacshade_edge.core.stitching.refinement import overlap_cells
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, of_pose, turn
 from tacshade_edge.types import F64, I64, Pose

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.touch.imprint import terms
-from tacshade_edge.core.touch.model import (
+from tacshade_edge.core.touch.answer import (
     kernel_values,
     leverage,
     residual,
     standardised,
+    terms,
     unreached,
 )
 from tacshade_edge.types import F32, F64, I64, TouchModel

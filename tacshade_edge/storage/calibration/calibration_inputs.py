@@ -11,7 +11,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.image.image_bytes import decode_image
 from tacshade_edge.errors import DecodeError

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import yaml
 
-from tacshade_edge.core.calibration.indenters import indenter as shapes
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
-from tacshade_edge.core.calibration.indenters.printable import planned_presses, printables
+from tacshade_edge.core.calibration import indenters as shapes
+from tacshade_edge.core.calibration.indenters import Indenter
+from tacshade_edge.core.calibration.printable import planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import quoted, shown

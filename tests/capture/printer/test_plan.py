@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from tacshade_edge.capture.printer.plan import planned_presses
-from tacshade_edge.core.calibration.indenters.indenter import box
+from tacshade_edge.core.calibration.indenters import box
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.printer_file import PrinterFile

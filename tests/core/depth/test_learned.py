@@ -3,8 +3,7 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, unloaded
 from support.toy_network import answering
 
-from tacshade_edge.core.depth.learned import LearnedInverse, LearnedSolver
-from tacshade_edge.core.depth.network_maps import KNOWN, fold, unfold
+from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, LearnedSolver, fold, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES

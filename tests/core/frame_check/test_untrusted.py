@@ -7,7 +7,7 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.toy_network import saying
 
-from tacshade_edge.core.depth.network_maps import fold
+from tacshade_edge.core.depth.learned import fold
 from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_SURE, untrusted_part, untrusted_rows_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.hand.link import OBSERVED_SD_MM
+from tacshade_edge.core.hand.link import OBSERVED_SD_MM, Patch
 from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
-from tacshade_edge.core.hand.patch import Patch
 from tacshade_edge.rigid import Rigid, turn, turned_rad
 from tacshade_edge.types import F64
 

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.core.stitching.flange import ORDER, FoundFlange, find_flange
+from tacshade_edge.core.stitching.flange import ORDER, FoundFlange, delay_seen, find_flange, unseen
 from tacshade_edge.core.stitching.flange_equations import ContactFrame
-from tacshade_edge.core.stitching.flange_motions import delay_seen, unseen
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, of_pose, shift, turn
 from tacshade_edge.types import F64, Pose

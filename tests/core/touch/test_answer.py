@@ -1,3 +1,5 @@
+"""Simulated imprints: of presses like the table's, and of another shape at the same numbers."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -5,16 +7,58 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacshade_edge.core.touch.answer import PLAIN, touch_by_model, touch_without_labels
+from tacshade_edge.core.touch.answer import PLAIN, belongs, imprint_of, terms, touch_by_model, touch_without_labels
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.types import TouchedObject, TouchModel
+from tacshade_edge.types import F32, F64, TouchedObject, TouchModel
 
 RANDOM = np.random.default_rng(0)
 FEATURES = RANDOM.normal(size=(80, 20)).astype(np.float32)
 LABELS = FEATURES[:, :2].astype(np.float64) * 2
 IMPRINTS = (FEATURES[:, :2] @ RANDOM.normal(size=(2, 7))).astype(np.float32)
 OBJECT = TouchedObject(1, (0.0, 0.0, 19.0), (3.0, 3.0, 0.5), 1.5, 9.0)
+
+
+def presses(rows: int, seed: int, roundness: float) -> tuple[F32, F32, F64]:
+    """Features, imprints and depths of a ball on a dome: the rounder, the smaller at the same depth."""
+    random = np.random.default_rng(seed)
+    depth_mm = random.uniform(0.5, 3, rows)
+    imprints = np.zeros((rows, 4))
+    imprints[:, 0] = depth_mm
+    imprints[:, 1] = imprints[:, 3] = np.sqrt(20 * depth_mm / (1 + roundness))
+    imprints[:, 2] = np.cbrt(imprints[:, 1] ** 2 * depth_mm / 2)
+    imprints += 0.05 * random.normal(size=imprints.shape)
+    features = np.outer(depth_mm, np.linspace(0.5, 1, 30)) + 0.1 * random.normal(size=(rows, 30))
+    return features.astype(np.float32), imprints.astype(np.float32), depth_mm[:, None]
+
+
+@pytest.fixture(scope="module")
+def ball_model() -> TouchModel:
+    features, imprints, labels = presses(120, 1, 0.0)
+    found = learn(features, imprints, ("depth_mm",), labels, np.arange(120), "n").model
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("roundness", "least", "most"), [(0.0, 0.97, 1.0), (1.0, 0.0, 0.05), (4.0, 0.0, 0.0)])
+def test_imprints_of_the_table_s_shape_belong_and_others_do_not(
+    ball_model: TouchModel, roundness: float, least: float, most: float
+) -> None:
+    _, imprints, depth_mm = presses(200, 2, roundness)
+    part = np.mean([belongs(ball_model, *one) for one in zip(depth_mm, imprints, strict=True)])
+    assert least <= part <= most
+
+
+def test_terms_are_one_the_parts_of_the_range_and_their_products() -> None:
+    low, high = np.float32([0, -10, 4]), np.float32([4, 10, 4])
+    found = terms(np.array([[4.0, -5.0, 4.0]]), low, high)
+    np.testing.assert_array_equal(found, [[1, 1, -0.5, 0, 1, -0.5, 0, 0.25, 0, 0]])
+
+
+def test_an_imprint_is_of_all_that_touches_and_its_length_the_greatest_object_s() -> None:
+    first = TouchedObject(1, (0.0, 0.0, 19.0), (3.0, 4.0, 0.5), 1.0, 9.0)
+    second = TouchedObject(2, (5.0, 0.0, 19.0), (1.0, 1.0, 0.5), 1.5, 7.0)
+    np.testing.assert_allclose(imprint_of((first, second), 8.0), [1.5, 4, 2, 5], rtol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tacshade_edge.core.touch.answer import predict
 from tacshade_edge.core.touch.learning import LearntTouch, learn
-from tacshade_edge.core.touch.model import predict
 from tacshade_edge.types import F32, F64, I64
 
 NAMES = ("depth_mm", "tilt_x_deg")

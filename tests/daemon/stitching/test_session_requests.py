@@ -103,7 +103,7 @@ def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pyt
     daemon.show(step("fast", unloaded()))
     daemon.ask(BEGIN)
     daemon.show(None)  # a contact that nobody asked for, from before
-    monkeypatch.setattr("tacshade_edge.core.stitching.rest.REST_NS", 0)
+    monkeypatch.setattr("tacshade_edge.core.stitching.press_points.REST_NS", 0)
     daemon.show(ball, pose=False)
     daemon.show(ball, pose=False)
     wait_until(lambda: daemon.status()["missed"] == 1, 20, "missed")

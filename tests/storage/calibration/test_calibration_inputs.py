@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.storage.calibration import calibration_inputs
 from tacshade_edge.storage.calibration.calibration_inputs import IMAGES, TRIANGLES, pack, unpack

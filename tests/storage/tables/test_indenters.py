@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.tables.capture_folder import read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.core.calibration.indenters.indenter import cylinder
+from tacshade_edge.core.calibration.indenters import cylinder
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.tables.presses import read_presses
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from tacshade_edge.core.calibration.indenters import indenter
+from tacshade_edge.core.calibration import indenters
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS
@@ -226,8 +226,8 @@ def known_presses(range_name: str, sensor: int, count: int, folder: Path) -> Seq
         size_mm = SIZES_MM[way.object_name] * way.press.scale
         shape = {
             "ball": None,
-            "cube": indenter.box(f"square {size_mm:.1f}", size_mm, size_mm),
-            "cylinder": indenter.cylinder(f"flat {2 * size_mm:.1f}", size_mm),
+            "cube": indenters.box(f"square {size_mm:.1f}", size_mm, size_mm),
+            "cylinder": indenters.cylinder(f"flat {2 * size_mm:.1f}", size_mm),
         }[way.object_name]
         made.append(stated_press(rng, f"press {k}", image, way.press, 0.0 if shape else size_mm, shape))
     return made

@@ -6,12 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation.press_observation import PressObservation, observe_press
-from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, as_seen
 from tacshade_edge.core.calibration.presses.press_outliers import outliers
-from tacshade_edge.core.calibration.presses.press_view import PressView, PressViewer, as_seen
-from tacshade_edge.core.calibration.presses.stated_sizes import shown_sizes, size_mistake, unit_mistake
-from tacshade_edge.core.calibration.presses.table_hints import axes_hint, polarity_hint, table_hints
+from tacshade_edge.core.calibration.presses.table_check import (
+    axes_hint,
+    polarity_hint,
+    shown_sizes,
+    size_mistake,
+    table_hints,
+    unit_mistake,
+)
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.depth import Network
@@ -108,7 +113,7 @@ def _gross_mistakes(
     if views is None:
         return table_hints(observations, geometry)
     shown = shown_sizes(presses, views)
-    mistakes = unit_mistake(shown), axes_hint(observations, geometry)
+    mistakes = unit_mistake(shown.depth), axes_hint(observations, geometry)
     if not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
         mistakes = (size_mistake(shown, observations, geometry), "")
     return tuple(mistake for mistake in mistakes if mistake)

@@ -1,4 +1,6 @@
-"""Make a calibration's reference from images of the unloaded skin, and check the images."""
+"""Make a calibration's reference from images of the unloaded skin, and check them, most of all for a load: a free skin
+is alike all around its centre and changes smoothly outwards.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +10,30 @@ from dataclasses import replace
 import numpy as np
 
 from tacshade_edge.core.calibration.reference import pattern
-from tacshade_edge.core.calibration.reference.reference_load import reference_load_reason
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
-from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.binarise import Binariser, odd
 from tacshade_edge.core.image.integral_image import BoxSums, Integrator
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, U8, Calibration
+from tacshade_edge.types import F32, U8, Bool, Calibration, Disc
 
+# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the disc, because a fine
+# pattern makes every ring uneven), is this large (mm² on the nominal skin) and alone: a square lattice makes four such
+# patches, a quarter turn apart. tools/studies/calibration.py measures what this finds, rightly and wrongly.
+LOAD_GREY = 22.0
+LOAD_DEVIATIONS = 3.5
+LOAD_MM2 = 9.0
+# A load in the middle is alike all around too, but bends the radial profile (second difference over two rings). The
+# outer rings are left out: light at the rim brightens and bends them without a load.
+RINGS = 12
+MIDDLE_RINGS = 10
+LOAD_BEND_GREY = 22.0
 PROFILE = replace(
     PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12, network=None
 )
@@ -30,6 +43,59 @@ ASSUMED_NOISE_GREY = 1.0
 NOISE_REFERENCES = 3
 # The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
+
+
+def reference_load_reason(preprocessor: Preprocessor) -> str:
+    """A message why the reference seems to have been taken under load; empty if it does not."""
+    g0, voting, geometry = preprocessor.reference_g, preprocessor.voting, preprocessor.calibration.geometry
+    grid, disc = preprocessor.grid, geometry.disc
+    rho2 = radius_squared(grid, disc)
+    residual = ring_residual(g0, rho2, voting)
+    deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
+    threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
+    elsewhere = np.median([quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0)
+    lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
+    area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
+    if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
+        return f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin around the centre"
+    bend = radial_bend(g0, rho2, voting)
+    if bend > LOAD_BEND_GREY:
+        return f"the skin's centre seems pressed in the reference: its profile bends by {bend:.0f} grey levels"
+    return ""
+
+
+def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
+    """g_0 less its median on each of 12 rings around the centre; 0 where `voting` is False."""
+    rings = np.minimum((np.sqrt(rho2) * RINGS).astype(int), RINGS)
+    residual: F32 = np.zeros_like(g0)
+    for ring in range(RINGS + 1):
+        cells = (rings == ring) & voting
+        if cells.any():
+            residual[cells] = g0[cells] - np.median(g0[cells])
+    return residual
+
+
+def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
+    """The values `turns` quarter turns around the disc's centre from each cell; beyond the grid, its border's."""
+    rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
+    cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
+    for _ in range(turns):
+        rows, cols = -cols, rows
+    i = np.rint((rows + disc.row_c - grid.row0) / grid.step_px).astype(int)
+    j = np.rint((cols + disc.col_c - grid.col0) / grid.step_px).astype(int)
+    turned: F32 = values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
+    return turned
+
+
+def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
+    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle, from soft rings."""
+    rho, profile = np.sqrt(rho2) * RINGS, []
+    for ring in range(MIDDLE_RINGS):
+        weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
+        if weight.any():
+            profile.append(float((weight * g0).sum() / weight.sum()))
+    mean = np.array(profile)
+    return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
 
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:

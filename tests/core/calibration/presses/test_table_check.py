@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -8,18 +9,96 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.calibrated_sensor import FULL, references, sensor_of, simulated
+from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.indenters import Ball, stated_ball
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation.touches import first_touch_mm, from_travel
-from tacshade_edge.core.calibration.presses.depth_zero import travel_mistake, zero_hint
-from tacshade_edge.core.calibration.refit.gain import Ball, stated_ball
+from tacshade_edge.core.calibration.machine import first_touch_mm, from_travel
+from tacshade_edge.core.calibration.presses.table_check import (
+    ShownSizes,
+    size_mistake,
+    table_hints,
+    theil_sen_slope,
+    travel_mistake,
+    zero_hint,
+)
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(5, 40))
+def test_the_slope_is_scipys(seed: int, count: int) -> None:
+    from scipy.stats import theilslopes  # takes a second, which whoever only collects this need not spend
+
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, 5, count)
+    y = 0.3 + 1.1 * x + 0.2 * rng.standard_normal(count)
+    assert theil_sen_slope(x, y) == pytest.approx(theilslopes(y, x).slope)
+
+
+@pytest.mark.parametrize(
+    ("shown", "said"),
+    [
+        (ShownSizes(1.1, 0.53, 0.54), "are they diameters?"),
+        (ShownSizes(0.82, 0.53, 0.54), "are they diameters?"),  # with a network that finds depths too small
+        (ShownSizes(0.82, 0.79, 0.86), ""),  # depths 0.7 and 1 mm too great, of tools/studies/calibration.py's 8401
+        (ShownSizes(0.73, 0.71, 0.84), ""),
+        (ShownSizes(1.0, 0.79, 0.96), ""),  # a good table of a skin of 12 mm
+        (ShownSizes(1.05, 0.79, 0.79), ""),  # a good table of a stiff skin on a soft gel (the third family)
+        (ShownSizes(1.0, 2.1, 2.1), "are they halved?"),
+        (ShownSizes(1.0, math.nan, math.nan), ""),
+    ],
+)
+def test_balls_that_look_smaller_are_diameters_where_depths_do_not(shown: ShownSizes, said: str) -> None:
+    assert size_mistake(shown, (), GEOMETRY).count("\n") == 0
+    assert (said in size_mistake(shown, (), GEOMETRY)) if said else not size_mistake(shown, (), GEOMETRY)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_true_table_has_no_hint(seed: int) -> None:
+    presses, geometry = observed(seed)
+    assert table_hints(presses, geometry) == ()
+    assert table_hints([replace(o, x_mm=None, y_mm=None) for o in presses], geometry) == ()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)])
+def test_another_unit_is_hinted(seed: int, unit: str, factor: float) -> None:
+    presses, geometry = observed(seed)
+    (hint,) = table_hints([replace(o, depth_mm=o.depth_mm * factor) for o in presses], geometry)
+    assert hint.endswith(f"are the depths in {unit}? expected mm")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("a", "b", "c", "d", "reading"),
+    [
+        (0, 1, 1, 0, "x and y are swapped"),
+        (-1, 0, 0, 1, "x has the opposite sign"),
+        (1, 0, 0, -1, "y has the opposite sign"),
+        (-1, 0, 0, -1, "x and y have the opposite sign"),
+        (0.1, 0, 0, 0.1, "x and y are in cm"),
+        (0.001, 0, 0, 0.001, "x and y are in m"),
+        (1 / 25.4, 0, 0, 1 / 25.4, "x and y are in inches"),
+        (0, -1, -1, 0, "x and y are swapped and have the opposite sign"),
+        (0, 1, -1, 0, "the axes are turned by 90 degrees"),
+        (0, -1, 1, 0, "the axes are turned by -90 degrees"),
+    ],
+)
+def test_other_axes_are_hinted(seed: int, a: float, b: float, c: float, d: float, reading: str) -> None:
+    presses, geometry = observed(seed)
+    other = []
+    for press in presses:
+        x, y = press.place_mm
+        other.append(replace(press, x_mm=a * x + b * y, y_mm=c * x + d * y))
+    (hint,) = table_hints(other, geometry)
+    assert hint.endswith(f"if {reading}")
 
 
 def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:

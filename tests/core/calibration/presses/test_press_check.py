@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 
-from tacshade_edge.core.calibration.indenters.indenter import box
+from tacshade_edge.core.calibration.indenters import box
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.presses.press_view import PressView, PressViewer
+from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, question
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.objects import ridge
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import Disc, Geometry
 
-pytestmark = pytest.mark.slow
+GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
+PRESS = KnownPress("press", np.zeros((2, 2), np.uint8), 12.0, 2.0, 6.0, -3.0)
+RIGHT = PressView(2.0, 6.0, -3.0, 1.1)
 
 
 @cache
@@ -30,6 +33,7 @@ def seen(press: KnownPress) -> PressView:
     return view
 
 
+@pytest.mark.slow
 def test_balls_are_seen_where_they_are_and_as_large_as_they_are() -> None:
     for press in presses():
         view = seen(press)
@@ -39,6 +43,7 @@ def test_balls_are_seen_where_they_are_and_as_large_as_they_are() -> None:
         assert viewer().touches(press.image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stated", "low", "high"), [(2.0, 0.4, 0.62), (0.5, 1.6, 2.6)])
 def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float) -> None:
     deep = [press for press in presses() if press.depth_mm > 1]
@@ -46,6 +51,7 @@ def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float
     assert low < float(np.median(factors)) < high
 
 
+@pytest.mark.slow
 def test_another_indenter_is_located_beside_its_stated_place() -> None:
     image = simulated(HALF).frame((Press(ridge(8.0, 6.0), 3.0, -2.0, 2.0),), 9).image
     stated = KnownPress("square", image, 0.0, 2.0, 3.0, -2.0, box("square", 8.0, 6.0))
@@ -55,6 +61,34 @@ def test_another_indenter_is_located_beside_its_stated_place() -> None:
     assert math.isnan(moved.ball_factor)
 
 
+@pytest.mark.slow
 def test_the_free_skin_shows_no_press() -> None:
     assert viewer().view(replace(presses()[0], image=unloaded())) is None
     assert not viewer().touches(unloaded())
+
+
+@pytest.mark.parametrize(
+    ("view", "asked"),
+    [
+        (RIGHT, ""),
+        (replace(RIGHT, ball_factor=0.5), "looks like a ball of 6 mm; is 12 its diameter?"),
+        (replace(RIGHT, ball_factor=2.2), ""),  # a small one may look so
+        (replace(RIGHT, ball_factor=2.2, misfit_ratio=9.0), "looks like a ball of 26 mm; is its radius 12?"),
+        (replace(RIGHT, x_mm=-3.2, y_mm=6.1), "the picture shows it around x -3, y 6 mm; are x and y swapped?"),
+        (replace(RIGHT, x_mm=0.2), "the picture shows it around x 0, y -3 mm; is x 6, y -3 right?"),
+        (replace(RIGHT, depth_mm=5.2), "looks about 5.2 mm deep; is the depth of 2 mm right?"),
+    ],
+)
+def test_what_the_picture_shows_otherwise_is_asked_about(view: PressView, asked: str) -> None:
+    assert question(view, PRESS, GEOMETRY) == asked
+
+
+@pytest.mark.slow
+def test_right_presses_are_not_asked_about_and_wrong_ones_are() -> None:
+    check = PressCheck(calibrated(count=0), load_networks()["accurate"])
+    assert [check.question(press) for press in presses()] == [""] * len(presses())
+    wrong = max(presses(), key=lambda press: press.depth_mm)
+    assert "its diameter?" in check.question(replace(wrong, radius_mm=2 * wrong.radius_mm))
+    assert "the picture shows it" in check.question(replace(wrong, x_mm=(wrong.x_mm or 0) - 5))
+    assert PressCheck(calibrated(count=0)).question(replace(wrong, radius_mm=2 * wrong.radius_mm)) == ""
+    assert not check.judge(unloaded()).in_contact

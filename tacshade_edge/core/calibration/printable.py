@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters.indenter import SIDES, circle, level, surface
+from tacshade_edge.core.calibration.indenters import SIDES, circle, level, surface
 from tacshade_edge.types import F64, freeze
 
 STEM_RADIUS_MM, LENGTH_MM = 4.0, 45.0

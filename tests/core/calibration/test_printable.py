@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tacshade_edge.core.calibration.indenters.indenter import bar, box, cone, cylinder, mesh, place
-from tacshade_edge.core.calibration.indenters.printable import (
+from tacshade_edge.core.calibration.indenters import bar, box, cone, cylinder, mesh, place
+from tacshade_edge.core.calibration.printable import (
     LENGTH_MM,
     STEM_RADIUS_MM,
     Printable,

@@ -1,8 +1,8 @@
-"""Place indenters of known shape, other than balls, and compute where their surface lies in a press.
+"""Place balls and indenters of other shapes, and compute where their surface lies in a press.
 
-Every shape is a closed surface of triangles. Round sides have `SIDES` flats with corners on the circle, so the surface
-is at most 3e-4 radii inside the true one. (M. Botsch et al., "Polygon Mesh Processing", 2010, section 1.3: triangle
-meshes and barycentric coordinates.)
+Every shape but a ball is a closed surface of triangles. Round sides have `SIDES` flats with corners on the circle, so
+the surface is at most 3e-4 radii inside the true one. (M. Botsch et al., "Polygon Mesh Processing", 2010, section 1.3:
+triangle meshes and barycentric coordinates.)
 """
 
 from __future__ import annotations
@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.types import F32, F64, Geometry, freeze
-
-I64 = npt.NDArray[np.int64]
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.disc import DiscRays, disc_rays
+from tacshade_edge.types import F32, F64, I64, Geometry, freeze
 
 SIDES = 128
 """Number of flats of a round side."""
@@ -31,6 +29,20 @@ _TOUCH_STEP, _TOUCH_STEPS = 1e-9, 200
 # A cell this far outside a triangle, in its areas, counts as inside, so that rounding leaves no gap. Pairs are
 # processed in parts of this size, to bound the memory.
 _EDGE, _PAIRS = 1e-9, 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """A pressed ball: its centre in the sensor frame, and its radius."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    radius_mm: float
+
+    def depth_max_mm(self, skin_radius_mm: float) -> float:
+        """Greatest h of the skin under it, mm."""
+        return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +113,10 @@ class PlacedIndenter:
         return np.where(rays.inside & (distance < r), r - distance, np.nan).astype(np.float32)
 
 
+Placed = Ball | PlacedIndenter
+"""Any indenter in its place."""
+
+
 def cylinder(name: str, radius_mm: float) -> Indenter:
     """Make a cylinder that stands on its flat end."""
     return Indenter(name, surface([level(circle(radius_mm), z) for z in _LEVELS_MM]))
@@ -151,6 +167,54 @@ def place(
     skin_z = math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
     z_mm = skin_z - depth_mm - float(turned[..., 2].min())
     return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
+
+
+def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
+    """Place a ball pressed along -z (docs/reference/calibration-files.md defines its depth)."""
+    beside = max(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0)
+    return Ball(x_mm, y_mm, math.sqrt(beside) - depth_mm + radius_mm, radius_mm)
+
+
+def ball_along(geometry: Geometry, along: F64, depth_mm: float, radius_mm: float) -> Ball:
+    """Place a ball in the direction from O of the middle of its contact, which is also that of its centre."""
+    reach = geometry.skin_radius_mm - depth_mm + radius_mm
+    for _ in range(8):
+        x, y = reach * along[0], reach * along[1]
+        reach = stated_ball(geometry, x, y, depth_mm, radius_mm).z_mm / along[2]
+    return stated_ball(geometry, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
+
+
+def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
+    """Height h of an indenter at the map's cells, mm; NaN or below 0 where it is not inside the undeformed skin."""
+    rays = disc_rays(disc_map.map_grid(geometry.disc, cells), geometry)
+    if not isinstance(placed, Ball):
+        return placed.height_mm(rays, geometry)
+    height = ball_height_along(geometry, placed, rays.u.astype(np.float64), rays.v.astype(np.float64))
+    return np.where(rays.inside, height, np.nan).astype(np.float32)
+
+
+def ball_height_along(geometry: Geometry, ball: Ball, u: F64, v: F64) -> F64:
+    """Height h of the ball's surface along rays (u, v) of `DiscRays`, any shape, mm; NaN where a ray misses it.
+
+    Computed by components, because numpy sums over an axis of three many times slower.
+    """
+    if geometry.camera_distance_mm is None:
+        origin = (u, v, np.zeros_like(u))
+        along = (np.zeros_like(u), np.zeros_like(u), np.ones_like(u))
+    else:
+        origin = (np.zeros_like(u), np.zeros_like(u), np.full_like(u, -geometry.camera_distance_mm))
+        length = np.sqrt(u * u + v * v + 1)
+        along = (u / length, v / length, 1 / length)
+    offset = (ball.x_mm - origin[0], ball.y_mm - origin[1], ball.z_mm - origin[2])
+    foot = _dot(offset, along)
+    inside = ball.radius_mm**2 - (_dot(offset, offset) - foot * foot)
+    s = foot - np.sqrt(np.where(inside > 0, inside, np.nan))
+    met = (origin[0] + s * along[0], origin[1] + s * along[1], origin[2] + s * along[2])
+    return np.asarray(geometry.skin_radius_mm - np.sqrt(_dot(met, met)))
+
+
+def _dot(a: tuple[F64, F64, F64], b: tuple[F64, F64, F64]) -> F64:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def circle(radius_mm: float) -> F64:

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.examples import examples
 
-from tacshade_edge.core.calibration.indenters import indenter as shapes
-from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
-from tacshade_edge.core.calibration.refit import gain
+from tacshade_edge.core.calibration import indenters as shapes
+from tacshade_edge.core.calibration.indenters import Indenter, known_height, place, stated_ball
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
@@ -126,9 +125,9 @@ def test_a_fine_mesh_of_a_ball_is_the_ball() -> None:
     triangles = np.concatenate([np.stack(c, axis=-2).reshape(-1, 3, 3) for c in ((p, q, s), (s, q, t))])
     placed = place(shapes.mesh("ball", triangles), R_MM, 4.0, -3.0, 2.0)
     where = geometry(14.0)
-    ball = gain.stated_ball(where, 4.0, -3.0, 2.0, 5.0)
-    known = gain.ball_height(where, ball)
-    height = gain.known_height(where, placed)
+    ball = stated_ball(where, 4.0, -3.0, 2.0, 5.0)
+    known = known_height(where, ball)
+    height = known_height(where, placed)
     both = np.isfinite(height)
     assert np.count_nonzero(both ^ (np.nan_to_num(known) > 0)) < 12
     assert np.nanmax(np.abs(height - known)) < 0.02
@@ -157,7 +156,7 @@ def test_extremes_stay_finite_and_within_the_skin(
     }[shape]()
     where = Geometry(r, distance, 50.0, DISC)
     placed = place(made, r, x, y, depth * r, yaw, tilt_x, tilt_y)
-    height = gain.known_height(where, placed, 24)
+    height = known_height(where, placed, 24)
     assert height.shape == (24, 24)
     found = height[np.isfinite(height)]
     assert (found > 0).all()

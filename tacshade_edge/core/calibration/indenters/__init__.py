@@ -1,1 +1,0 @@
-"""Shapes of indenters, and indenters to print."""

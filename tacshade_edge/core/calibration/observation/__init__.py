@@ -1,1 +1,0 @@
-"""Presses as their images show them and as a machine places them."""

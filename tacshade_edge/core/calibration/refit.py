@@ -1,0 +1,232 @@
+"""Refit a learned profile to known presses in closed form, and measure its errors on presses left out of the refit.
+
+A network trained on many sensors is off on a given one by a nearly constant factor. Each press shows the factor where
+the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
+(P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows. Balls show little more:
+corrections by depth and place fit the balls better, but not other shapes (tools/training/README.md).
+
+The error scale is a sensor's factor on σ (`core.depth.sigma`). q is the quantile of errors, in σ of scale 1, that the
+90 % interval must hold, over presses left out of the fit, as in split conformal prediction (Vovk, Gammerman and Shafer,
+Algorithmic Learning in a Random World, 2005). Presses differ from later contacts: errors on other shapes are larger,
+and a sensor with few presses is less unusual than it seems. So a line fitted on simulated sensors converts log q to the
+logarithm of the scale.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.calibration.indenters import Placed, ball_along, known_height, stated_ball
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation import placed_indenter
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
+from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel, sigma_of_scale_1, terms
+from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.geometry.disc_map import rays_in_image
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.types import F32, F64, Bool, Calibration, Geometry, ProfileFit
+
+PRIOR_DEVIATION = 0.2
+"""Standard deviation of log factor over sensors; RMS over simulated ones of both families and finer pitch is 0.17."""
+# Least standard deviation of log factor over the presses of a sensor.
+_LEAST_DEVIATION = 0.05
+_HUBER, _ITERATIONS = 1.5, 20
+# Fewer cells make no usable contact, fewer presses no usable factor.
+LEAST_CELLS, LEAST_PRESSES = 12, 5
+# Cells count only where the network and the indenter are deeper than this (mm on the nominal skin).
+LEAST_FOUND_MM, LEAST_TRUE_MM = 0.05, 0.1
+# The error of h grows with depth; beyond this depth it is mostly proportional (mm on the nominal skin).
+PROPORTIONAL_MM = 0.5
+# No known sensor needs a factor outside this range.
+FACTOR_RANGE = (0.3, 3.0)
+_SCALE_RANGE = (0.2, 20.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressRows:
+    """One press in the regression, at the cells used: weighted `target` should equal the factor times `found`."""
+
+    found: F64
+    target: F64
+
+
+def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
+    """The unit vector from O to the middle of the contact; None if there is hardly a contact."""
+    rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
+    contact = (inverse.contact_logit > 0) & rays.inside
+    if np.count_nonzero(contact) < LEAST_CELLS:
+        return None
+    points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
+    middle = points[contact].astype(np.float64).mean(axis=0)
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRows | None:
+    """Make the rows of a press for `fit_factor`; None if the network's contact and the indenter hardly overlap."""
+    height, scale = inverse.height_mm, skin_scale(geometry)
+    truth, use = known_cells(inverse, geometry, placed)
+    cells = int(np.count_nonzero(use))
+    if cells < LEAST_CELLS:
+        return None
+    # All presses count alike, except that deep ones count a little less: their error in mm is larger.
+    depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / scale
+    weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
+    return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
+
+
+def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F32, Bool]:
+    """`known_height` of an indenter, and the cells where it overlaps the network's contact."""
+    height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
+    scale = skin_scale(geometry)
+    use = (inverse.contact_logit > 0) & np.isfinite(height)
+    use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
+    return truth, use
+
+
+def fit_factor(presses: Sequence[PressRows]) -> float | None:
+    """Fit the factor on h by a robust mean over presses and a prior; None if there are too few presses."""
+    if len(presses) < LEAST_PRESSES:
+        return None
+    squares = np.array([float(press.found @ press.found) for press in presses])
+    ratios = np.array([float(press.found @ press.target) for press in presses]) / squares
+    logs = np.log(np.maximum(ratios, np.finfo(float).tiny))
+    middle = _weighted_median(logs, squares)
+    deviation = max(1.4826 * _weighted_median(np.abs(logs - middle), squares), _LEAST_DEVIATION)
+    for _ in range(_ITERATIONS):
+        weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
+        middle = float(weight @ logs / weight.sum())
+    effective_presses = float(weight.sum() ** 2 / (weight @ weight))
+    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / effective_presses)
+    return min(max(math.exp(drawn * middle), FACTOR_RANGE[0]), FACTOR_RANGE[1])
+
+
+def _weighted_median(values: F64, weights: F64) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(below, 0.5 * below[-1])])
+
+
+def errors_in_sigma(
+    model: SigmaModel,
+    height_mm: F32,
+    true_mm: F32,
+    contact_logit: F32,
+    untrusted_logit: F32,
+    known: Bool,
+    geometry: Geometry,
+) -> F64:
+    """|error| over σ of scale 1 of a press, at the cells with known height: (N,)."""
+    x = terms(height_mm, contact_logit, untrusted_logit, known, geometry)
+    off = np.abs(height_mm[known].astype(np.float64) - true_mm[known])
+    return np.asarray(off / sigma_of_scale_1(model, x, geometry))
+
+
+def error_scale(model: SigmaModel, presses: Sequence[F64]) -> float:
+    """The error scale from `errors_in_sigma` of at least one press, none of them empty; presses count alike."""
+    scale = math.exp(model.press_offset + model.press_slope * math.log(press_q(presses)))
+    return min(max(scale, _SCALE_RANGE[0]), _SCALE_RANGE[1])
+
+
+def press_q(presses: Sequence[F64]) -> float:
+    """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1; above 0."""
+    errors = np.concatenate(presses)
+    weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
+    order = np.argsort(errors)
+    below = np.cumsum(weights[order])
+    found = float(errors[order][np.searchsorted(below, 0.9 * below[-1])])
+    return max(found / INTERVAL_90, 1e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A refitted profile: the factor on h, and of each press with the others' factor its name and greatest h found less
+    the true one; the greatest h that the network finds without a refit, and the indenter at its stated place; the part
+    of the median press's disc that the network cannot explain as this sensor's skin (0 to 1); messages about presses
+    left out for that; the factor on σ (None if the network has no model of its errors).
+    """
+
+    factor: float
+    fit: ProfileFit
+    errors_mm: tuple[tuple[str, float], ...]
+    found_mm: tuple[float, ...]
+    placed: tuple[Placed, ...]
+    untrusted_part: float
+    left_out: tuple[str, ...]
+    error_scale: float | None
+
+
+def refit_profile(
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
+) -> Refit | None:
+    """Refit a profile; None if its network finds too few of the contacts."""
+    geometry = calibration.geometry
+    preprocessor = Preprocessor(calibration, profile)
+    solver = LearnedSolver(preprocessor, network)
+    rows, seen, found_mm, placed, names, parts, left_out = [], [], [], [], [], [], []
+    inside = rays_in_image(solver.grid, calibration).inside
+    for press in presses:
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+        parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
+        if parts[-1] > UNTRUSTED_UNLEARNT:
+            left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
+            continue
+        at = placed_press(geometry, inverse, press)
+        row = press_rows(inverse, geometry, at) if at else None
+        if at and row:
+            rows.append(row)
+            seen.append(inverse)
+            found_mm.append(inverse.height_mm[inverse.contact_logit > 0].max())
+            placed.append(at)
+            names.append(press.name)
+    factor = fit_factor(rows)
+    if factor is None:
+        return None
+    errors, in_sigma = [], []
+    for k, (found, at) in enumerate(zip(found_mm, placed, strict=True)):
+        without = fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
+        errors.append(float(found * np.float32(without)) - at.depth_max_mm(geometry.skin_radius_mm))
+        if network.sigma is not None:
+            in_sigma.append(_errors_in_sigma(network.sigma, seen[k], without, at, inside, geometry))
+    off = np.abs(errors)
+    fit = ProfileFit(len(rows), float(off.mean()), float(off.max()))
+    return Refit(
+        factor,
+        fit,
+        tuple(zip(names, errors, strict=True)),
+        tuple(float(found) for found in found_mm),
+        tuple(placed),
+        float(np.median(parts)),
+        tuple(left_out),
+        None if network.sigma is None else error_scale(network.sigma, in_sigma),
+    )
+
+
+def _errors_in_sigma(
+    model: SigmaModel, inverse: Inverse, factor: float, placed: Placed, inside: Bool, geometry: Geometry
+) -> F64:
+    """|error| over σ of scale 1 of a press, at the cells of `press_rows` inside the image."""
+    height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0)
+    truth, use = known_cells(inverse, geometry, placed)
+    return errors_in_sigma(
+        model, height.astype(np.float32), truth, inverse.contact_logit, inverse.untrusted_logit, use, geometry
+    )
+
+
+def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> Placed | None:
+    """The indenter of a press at its stated place; a ball without one is located, or None if that fails."""
+    if press.indenter is not None:
+        return placed_indenter(press, press.indenter, geometry)
+    if press.x_mm is not None and press.y_mm is not None:
+        return stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)
+    along = contact_direction(geometry, inverse)
+    return None if along is None else ball_along(geometry, along, press.depth_mm, press.radius_mm)

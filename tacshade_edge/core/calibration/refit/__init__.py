@@ -1,1 +1,0 @@
-"""Fit networks to a sensor's presses, and measure their errors."""
