@@ -111,7 +111,7 @@ def uneven_skin(
 ) -> Skin:
     """Press a skin like `press_skin`, but on a foundation with uneven stiffness."""
     if unevenness.two_scales:
-        return two_scale_skin(model, presses, leaning_mm)
+        return two_scale_skin(model, presses, leaning_mm, compiled.solve)
     flat = undeformed(model.skin_radius_mm)
     floor = obstacle_of(model.skin_radius_mm, presses, leaning_mm)
     if not floor.any():

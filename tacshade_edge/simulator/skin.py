@@ -8,8 +8,9 @@ conformal: the Dirichlet term is that of the plane, and only the mass term takes
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +25,13 @@ GRID_STEPS_PER_RADIUS = 80
 """The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
 
 _TRACE_TOLERANCE_MM = 1e-4
-_TRACE_STEPS = 400  # the few rays that run along a wall need many
+_LEAST_TRACE_MM = 2e-3  # a few rays run along a wall, which would take hundreds of steps
+_TRACE_STEPS = 400
+_OUTERMOST = 1.25
+"""How far from O a leaning or bulging skin may reach, in skin radii."""
+
+Solver = Callable[[F32, F32], F32]
+"""A function from an obstacle and mass weights to h, all on the same grid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +130,7 @@ def press_skin(
     presses: Sequence[Press],
     leaning_mm: F32 | None = None,
     rest_mm: F32 | None = None,
+    solver: Solver = solve,
 ) -> Skin:
     """Find the skin's shape under the given objects.
 
@@ -134,6 +142,8 @@ def press_skin(
         `Skin.leaning_mm` of a leaning dome.
     rest_mm : float32 (2n+1, 2n+1), optional
         `Skin.rest_mm` after creep: the shape of the unloaded skin.
+    solver : callable
+        Solves the obstacle problem like `membrane.solve`.
 
     Raises
     ------
@@ -151,7 +161,9 @@ def press_skin(
     weight = mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
     window = window_of(beyond > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
     pressed = np.zeros_like(obstacle)
-    pressed[window] = solve(beyond[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
+    pressed[window] = solver(
+        np.ascontiguousarray(beyond[window]), weight[window] * np.float32((flat.step_mm / decay_mm) ** 2)
+    )
     if rest_mm is not None:
         pressed += rest_mm
     return replace(free, height_mm=pressed, obstacle_mm=obstacle).leaning(leaning_mm)
@@ -209,7 +221,10 @@ def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
 
 def node_directions(radius_mm: float) -> F64:
     """Unit vectors of the grid's nodes, (2n+1, 2n+1, 3), in single precision."""
-    n, step_mm = _grid(radius_mm)
+    return _directions(radius_mm, *_grid(radius_mm))
+
+
+def _directions(radius_mm: float, n: int, step_mm: float) -> F64:
     axis = np.arange(-n, n + 1, dtype=np.float32) * np.float32(step_mm)
     x, y = np.meshgrid(axis, axis)
     return chart_to_direction(x, y, radius_mm)
@@ -217,28 +232,37 @@ def node_directions(radius_mm: float) -> F64:
 
 def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> F32:
     """The skin's distance from O minus the distance at which each node's ray enters an object; 0 if it enters none."""
-    rays = node_directions(radius_mm)
-    surface = np.full(rays.shape[:2], radius_mm, np.float32)
-    if leaning_mm is not None:
-        surface -= leaning_mm
+    surface = np.float32(radius_mm) if leaning_mm is None else np.float32(radius_mm) - leaning_mm
+    still = tuple(replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0) for press in presses)
+    return np.asarray(np.maximum(surface - _entries(radius_mm, *_grid(radius_mm), still), 0), np.float32)
+
+
+@functools.lru_cache(maxsize=2)
+def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...]) -> F32:
+    """The distance from O at which each node's ray enters an object, in mm; infinite if it enters none near the skin.
+
+    A dragged skin is solved several times under the same objects, so the last ones are kept.
+    """
+    rays = _directions(radius_mm, n, step_mm)
     rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])
     if start < 0.1 * radius_mm:
         raise ValueError(f"the press reaches the sensor's centre (skin radius {radius_mm} mm)")
-    obstacle = np.zeros(rays.shape[:2], np.float32)
+    entries = np.full(rays.shape[:2], np.inf, np.float32)
     index = np.flatnonzero(rays[..., 2] > rim)
-    ray, end = rays.reshape(-1, 3)[index], surface.flat[index]
+    ray, end = rays.reshape(-1, 3)[index], np.float32(_OUTERMOST * radius_mm)
     t: F32 = np.full(len(index), start, np.float32)
     for _ in range(_TRACE_STEPS):
         d = distance_mm(presses, radius_mm, ray * t[:, None])
         hit = d < _TRACE_TOLERANCE_MM
-        obstacle.flat[index[hit]] = np.maximum(end[hit] - t[hit], 0)
-        t = (t + d).astype(np.float32)
+        entries.flat[index[hit]] = t[hit] + np.minimum(d[hit], 0)  # back out of what the least step entered
+        t = (t + np.maximum(d, _LEAST_TRACE_MM)).astype(np.float32)
         on = ~hit & (t < end)
-        index, ray, end, t = index[on], ray[on], end[on], t[on]
+        index, ray, t = index[on], ray[on], t[on]
         if not len(index):
             break
-    return obstacle
+    entries.flags.writeable = False
+    return entries
 
 
 def window_of(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, slice]:

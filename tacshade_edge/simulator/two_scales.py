@@ -10,18 +10,23 @@ import cv2
 import numpy as np
 
 from tacshade_edge.simulator.drag import Contacts, Mechanics
+from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.skin import Skin, press_skin
+from tacshade_edge.simulator.skin import Skin, Solver, press_skin
 from tacshade_edge.types import F32, F64
 
 _RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
 
 
-def two_scale_skin(model: SensorModel, presses: Sequence[Press], leaning_mm: F32 | None = None) -> Skin:
+def two_scale_skin(
+    model: SensorModel, presses: Sequence[Press], leaning_mm: F32 | None = None, solver: Solver = solve
+) -> Skin:
     """Mix two skins into a stiff surface over a soft depth, whose skirt is not exponential."""
-    near = press_skin(model.skin_radius_mm, 0.5 * model.skin_decay_mm, presses, leaning_mm)
-    far = press_skin(model.skin_radius_mm, 1.8 * model.skin_decay_mm, presses, leaning_mm)
+    near, far = (
+        press_skin(model.skin_radius_mm, part * model.skin_decay_mm, presses, leaning_mm, solver=solver)
+        for part in (0.5, 1.8)
+    )
     mixed = np.asarray(0.55 * near.height_mm + 0.45 * far.height_mm, np.float32)
     return replace(near, height_mm=mixed)
 
