@@ -16,7 +16,7 @@ from tacshade_edge.cli.shared.options import add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation.touches import from_travel
+from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.profiles import PROFILES
