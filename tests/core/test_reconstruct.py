@@ -36,7 +36,7 @@ from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
 from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
-from tools.testbed.simulator.variants import released
+from tools.testbed.simulator.families import released
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:

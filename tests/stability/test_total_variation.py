@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from skimage.restoration import denoise_tv_chambolle
 from support.examples import examples
 from support.extreme_maps import EXTREME_MAPS
 
@@ -77,6 +76,8 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     image = to_unit(EXTREME_MAPS[name](64, 64))
     monkeypatch.setattr(total_variation, "ENOUGH", 0.0)
     found = chambolle(image, weight, 10_000)
+    from skimage.restoration import denoise_tv_chambolle  # takes a second, as SciPy's statistics that it imports
+
     precise = denoise_tv_chambolle(image.astype(np.float64), weight=weight, eps=0, max_num_iter=10_000)
     off = float(np.abs(found - precise).max())
     print(f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64")

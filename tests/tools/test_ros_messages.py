@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,13 @@ from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8
 from tools.examples.ros2 import ros_messages
 
-typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
-STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 PRESS = bump(7, 2.0, 236.0, 328.0, step_px=4)
+
+
+@cache
+def store() -> Any:
+    typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
+    return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 
 
 class Ros:
@@ -29,11 +34,11 @@ class Ros:
 
     @staticmethod
     def make(name: str, /, **fields: Any) -> Any:
-        return STORE.types[name](**fields)
+        return store().types[name](**fields)
 
 
 def there_and_back(message: Any) -> Any:
-    return STORE.deserialize_cdr(STORE.serialize_cdr(message, message.__msgtype__), message.__msgtype__)
+    return store().deserialize_cdr(store().serialize_cdr(message, message.__msgtype__), message.__msgtype__)
 
 
 def test_an_image() -> None:

@@ -5,7 +5,8 @@
 
     python3 -m tools.ci.run_tests [STAGE...]
 
-`make test` runs it. A stage that fails does not keep the next from running. Exit 1 when one failed.
+`make test` runs lint, tests and guest, `make check` lint and quick. A stage that fails does not keep the next from
+running. Exit 1 when one failed.
 """
 
 from __future__ import annotations
@@ -24,24 +25,27 @@ from xml.etree import ElementTree
 TREE = Path(__file__).resolve().parents[2]
 PYTEST = (sys.executable, "-m", "pytest")
 WORKERS = str((os.cpu_count() or 1) + 1)
-"""One more than there are cores: every third test waits, for a broker, a second, a page. With two per core the slow
-stage is hardly faster (743 s, not 760), and tests that read a clock may fail."""
+"""One more than there are cores: every third test waits, for a broker, a second, a page. With two per core they are
+hardly faster (743 s, not 760), and those that read a clock may fail."""
+SPREAD = ("-n", WORKERS, "--dist", "worksteal")
+"""A worker has neighbouring tests, which share what a module makes, until it has nothing left to do."""
 QUICK = "not guest and not broker and not slow and not browser"
-SLOW = "(slow or broker or browser) and not guest and not container"
+ALL = "not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
 ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """As the program sets it for itself. Threads of several workers wait for each other at full speed: to learn from labels
 took 24 s of processor time with them and takes 8 s without."""
 BESIDE = ("lint",)
-"""Run beside the rest, whose tests wait now and then; each shows its output when it is over. The guests beside the slow
-stage gain nothing: both need all of two cores."""
+"""Run beside the rest, whose tests wait now and then; each shows its output when it is over. The guests beside the rest
+gain nothing: both need all of two cores."""
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
-    "quick": (*PYTEST, "-n", WORKERS, "--dist", "worksteal", "-m", QUICK),
-    "slow": (*PYTEST, "-n", WORKERS, "--dist", "loadfile", "-m", SLOW),
-    "guest": (*PYTEST, "-m", "guest"),
+    "quick": (*PYTEST, *SPREAD, "-m", QUICK),
+    "tests": (*PYTEST, *SPREAD, "-m", ALL, "--durations=20", "--durations-min=5"),
+    "guest": (*PYTEST, "tests/guest"),
 }
+"""The quick tests are among the `tests`: each worker imports 400 files once, not twice."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def run(name: str) -> Stage:
 def main() -> int:
     """Run the named stages, or all."""
     began_s = time.monotonic()
-    names = sys.argv[1:] or list(STAGES)
+    names = sys.argv[1:] or [name for name in STAGES if name != "quick"]
     with ThreadPoolExecutor(max_workers=1) as pool:
         beside = [pool.submit(run, name) for name in names if name in BESIDE]
         stages = [run(name) for name in names if name not in BESIDE]

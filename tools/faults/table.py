@@ -1,18 +1,538 @@
-"""The table of the faults' outcomes."""
+"""Each fault once, in real parts, and the table of their outcomes."""
 
 from __future__ import annotations
 
+import json
+import os
+import resource
+import shutil
+import signal
+import struct
 import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tools.faults import broker_faults, disk_faults, input_faults, process_faults
-from tools.faults.rig import FAULTS, Cell, Fault, SkippedError
+import cv2
 
-MODULES = (broker_faults, input_faults, disk_faults, process_faults)
-"""Whose functions are in `FAULTS`, in this order."""
+from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
+from tools.faults.rig import BASE, FAULTS, Cell, Fault, Proxy, Seen, SkippedError, fault, frames_of, pause, small_disk
+from tools.testbed.mqtt_rig import Subscriber
+from tools.testbed.painted_sensor import BLACK, painted_calibration
+from tools.testbed.robot import Faults, PtyRobot
+
+# The broker disappears, stalls, refuses or is shared, and requests that nobody should send.
+
+
+AWAY_S = 2.0
+STALL_S = 6.0
+FLOOD = 5000
+
+
+@fault("broker killed, and back")
+def killed(cell: Cell) -> Seen:
+    cell.start()
+    before = cell.frames()["failed"]
+    since_s = cell.mark()
+    cell.broker.kill()
+    detected_s = cell.told("connection lost|Connection refused", since_s)
+    pause(AWAY_S)
+    cell.broker.start()
+    recovered_s = cell.maps_again()
+    lost = cell.frames()["failed"] - before
+    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+
+
+@fault(f"broker stalls for {STALL_S:.0f} s")
+def stalled(cell: Cell) -> Seen:
+    """The broker neither reads nor answers, but the connection stays open."""
+    cell.start()
+    before = cell.frames()
+    since_s = cell.mark()
+    cell.broker.stall()
+    detected_s = None
+    while (at_s := time.monotonic() - since_s) < STALL_S:
+        if detected_s is None and "connection lost" in cell.new_log():
+            detected_s = at_s
+        pause(0.02)
+    cell.broker.resume()
+    recovered_s = cell.maps_again()
+    after = cell.frames()
+    superseded, failed = (after[name] - before[name] for name in ("superseded", "failed"))
+    assert superseded + failed > 0
+    return Seen(
+        f"{superseded} frames superseded, {failed} failed, all counted", "log, `health`", detected_s, recovered_s
+    )
+
+
+@fault("network carries nothing")
+def network_stalls(cell: Cell) -> Seen:
+    cell.serve()
+    proxy = cell.enter(Proxy(cell.broker.port))
+    cell.start(cell.settings(port=proxy.port))
+    before = cell.frames()["failed"]
+    since_s = cell.mark()
+    proxy.flows.clear()
+    detected_s = cell.told("connection lost", since_s)
+    proxy.flows.set()
+    recovered_s = cell.maps_again()
+    lost = cell.frames()["failed"] - before
+    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+
+
+@fault("broker denies publishing")
+def denied(cell: Cell) -> Seen:
+    rules = cell.folder / "acl"
+    rules.write_text("topic read #\ntopic write tacshade/other/#\n")
+    cell.serve(more=(f"acl_file {rules}",))
+    began_s = cell.start(streams=False)
+    detected_s = cell.told("Not authorized", began_s)
+    cell.told("source streaming", began_s)
+    assert cell.seen.of(f"{BASE}/height") == []
+    return Seen("all maps, counted as failed", "log, `health.mqtt.refused`; `doctor`", detected_s)
+
+
+@fault("a second daemon, same sensor_id and folders")
+def same_id(cell: Cell) -> Seen:
+    cell.start()
+    count = cell.session()
+    with cell.second("in use by") as detected_s:
+        pause(3.0)
+    recovered_s = cell.maps_again()
+    cell.presses(count)
+    return Seen("no press", "both logs", detected_s, recovered_s)
+
+
+@fault("a subscriber that does not read")
+def never_reading(cell: Cell) -> Seen:
+    cell.start()
+    before = cell.frames()["published"]
+    with Subscriber(cell.broker.port) as deaf:
+        deaf.client.loop_stop()
+        pause(STALL_S)
+        assert cell.frames()["published"] > before
+    return Seen("what that subscriber did not read", "mosquitto's `$SYS`; the daemon is not concerned")
+
+
+@fault(f"{FLOOD} requests at once")
+def flood(cell: Cell) -> Seen:
+    cell.start()
+    cell.mark()
+    for number in range(FLOOD):
+        cell.seen.publish(f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0)
+
+    def answered() -> bool:
+        # Only a few answers may wait for the broker, so one may be missing.
+        cell.seen.publish(f"{BASE}/req/status", b"{}")
+        pause(0.1)
+        return any(b'"ok":true' in answer for answer in cell.seen.of(f"{BASE}/res/status"))
+
+    answered_s = cell.until(answered, 30, "an answer to a request for the status")
+    cell.maps_again()
+    lines = cell.new_log().splitlines()
+    assert len(lines) < 60, len(lines)
+    assert not any("\x1b" in line for line in lines)
+    cell.frames()
+    told = f"answers; {len(lines)} lines of log"
+    return Seen("requests over 16 that wait, refused as busy", told, None, answered_s)
+
+
+# The robot's line, the frames, the calibration and the settings; the guest tests a camera's own faults.
+
+
+def _robot(cell: Cell, faults: Faults | None = None) -> PtyRobot:
+    """Start a robot and the daemon, and wait until their clocks agree."""
+    link = Path(f"/dev/shm/tacshade-fault-{os.getpid()}")
+    robot: PtyRobot = cell.enter(PtyRobot(link, rate_hz=100, faults=faults))
+    cell.start(cell.settings(f"serial: {{device: {link}}}\n"))
+    _synchronised(cell)
+    return robot
+
+
+def _synchronised(cell: Cell) -> float:
+    return cell.until(lambda: cell.last("status/serial").get("sync") == "two-way", 30, "synchronised")
+
+
+@fault("serial line pulled, and back")
+def unplugged(cell: Cell) -> Seen:
+    robot = _robot(cell)
+    since_s = cell.mark()
+    robot.unplug()
+    detected_s = cell.told("serial away", since_s)
+    pause(AWAY_S)
+    robot.plug()
+    recovered_s = _synchronised(cell)
+    lost = cell.last("health")["serial"]["poses_lost"]
+    told = "log, `status/serial`, EVT to the robot"
+    return Seen(f"{lost} poses so far, counted", told, detected_s, recovered_s)
+
+
+@fault("robot restarts")
+def restarts(cell: Cell) -> Seen:
+    """Its clock begins anew."""
+    robot = _robot(cell, Faults(reboot_s=6.0))
+    cell.mark()
+    boots = robot.told.boots
+    cell.until(lambda: robot.told.boots > boots, 20, "a reboot")
+    since_s = time.monotonic()
+    detected_s = cell.told("the robot sent a greeting", since_s)
+    recovered_s = cell.told("sync two-way", since_s)
+    return Seen("poses until the clocks agree again", "log, `status/serial`", detected_s, recovered_s)
+
+
+@fault("a tenth of the robot's lines damaged")
+def noise(cell: Cell) -> Seen:
+    _robot(cell, Faults(damage=0.1))
+    pause(3.0)
+    cell.frames()
+    serial = cell.last("health")["serial"]
+    assert serial["damaged"] > 0
+    assert serial["poses"] > 100
+    return Seen(f"{serial['damaged']} lines, counted; none taken for another", "`health.serial`")
+
+
+@fault("robot falls silent")
+def silent(cell: Cell) -> Seen:
+    _robot(cell).stop_talking()
+    detected_s = cell.until(lambda: cell.last("status/serial").get("state") == "silent", 20, "silent")
+    return Seen("frames have no pose", "`status/serial`, `health.serial`", detected_s)
+
+
+@fault("lens covered, and uncovered")
+def black(cell: Cell) -> Seen:
+    cell.start()
+    pictures = [cell.folder / f"images/{name}.png" for name in ("free", "touched")]
+    shown = [path.read_bytes() for path in pictures]
+
+    def show(contents: list[bytes]) -> None:
+        for path, content in zip(pictures, contents, strict=True):
+            path.with_suffix(".new").write_bytes(content)
+            path.with_suffix(".new").replace(path)
+
+    since_s = cell.mark()
+    show([cv2.imencode(".png", BLACK)[1].tobytes()] * 2)
+    detected_s = cell.told("source unusable", since_s)
+    show(shown)
+    told = "log, `state` degraded, `status/camera`"
+    return Seen("those frames, counted as invalid", told, detected_s, cell.maps_again())
+
+
+@fault("no calibration at the start")
+def no_calibration(cell: Cell) -> Seen:
+    path = cell.folder / "c.npz"
+    content = path.read_bytes()
+    path.unlink()
+    cell.serve()
+    detected_s = cell.told("not calibrated", cell.start(streams=False))
+    path.write_bytes(content)
+    return Seen("maps until then", "log, `state` degraded, `info`", detected_s, cell.maps_again())
+
+
+def _reloaded(cell: Cell, pattern: str) -> float:
+    """Reload the settings and wait for a line of the log; return the seconds."""
+    since_s = cell.mark()
+    cell.daemon.send_signal(signal.SIGHUP)
+    return cell.told(pattern, since_s)
+
+
+@fault("a damaged calibration at a reload")
+def bad_calibration(cell: Cell) -> Seen:
+    path = cell.folder / "c.npz"
+    cell.start()
+    crc32 = cell.last("info")["geometry"]["calibration_crc32"]
+    path.write_bytes(path.read_bytes()[:-300])
+    detected_s = _reloaded(cell, "rejected the reload and kept the running settings")
+    cell.maps_again()
+    calibration_file.save(path, painted_calibration())
+    recovered_s = _reloaded(cell, "reloaded")
+    cell.until(lambda: cell.last("info"), 10, "info")
+    assert cell.last("info")["geometry"]["calibration_crc32"] == crc32
+    return Seen("nothing: the old one goes on", "log, `systemctl status`", detected_s, recovered_s)
+
+
+@fault("wrong settings at a reload")
+def bad_settings(cell: Cell) -> Seen:
+    cell.start()
+    path = cell.settings("colour: red\n")
+    detected_s = _reloaded(cell, rf"{path.name}:\d+: colour: found an unknown key")
+    cell.maps_again()
+    cell.settings()
+    recovered_s = _reloaded(cell, "reloaded")
+    return Seen("nothing: the old ones go on", "log, `systemctl status`", detected_s, recovered_s)
+
+
+# Disks, and files with state.
+
+
+FLOOR_MB = FREE_FLOOR_BYTES >> 20
+MCAP_MAGIC_BYTES, MCAP_CHUNK = 8, 6
+
+
+def _fill(disk: Path) -> Path:
+    """Fill the disk to below the daemon's floor; return the file that does."""
+    filler = disk / "filler"
+    with filler.open("wb") as stream:
+        for _ in range((shutil.disk_usage(disk).free >> 20) - FLOOR_MB + 5):
+            stream.write(bytes(1 << 20))
+    return filler
+
+
+def _begun(cell: Cell, name: str) -> float:
+    """Begin a session; return the seconds that this took."""
+    since_s = time.monotonic()
+    answer = cell.ask("stitch", action="begin", name=name)
+    assert answer["ok"], answer
+    return time.monotonic() - since_s
+
+
+@fault("disk full while recording")
+def full_while_recording(cell: Cell) -> Seen:
+    disk = cell.enter(small_disk(cell.folder / "recs", FLOOR_MB + 40))
+    cell.start()
+    cell.record(frames=20)
+    since_s = cell.mark()
+    filler = _fill(disk)
+    cell.until(lambda: cell.last("status/recorder").get("state") == "stopped", 30, "the recording's end")
+    detected_s = time.monotonic() - since_s
+    status = cell.last("status/recorder")
+    assert status["ending_code"] == "disk_full", status
+    read = len(frames_of(disk / "r")[0])
+    assert read == status["frames"]
+    cell.maps_again()
+    filler.unlink()
+    since_s = time.monotonic()
+    assert cell.ask("record", action="start", seconds=1, name="r2")["ok"]
+    lost = f"{status['dropped']} frames, counted; all {read} before are there"
+    return Seen(lost, "`status/recorder`, log", detected_s, time.monotonic() - since_s)
+
+
+@fault("recordings read while they are written")
+def read_while_recording(cell: Cell) -> Seen:
+    """Both kinds are read repeatedly from the beginning."""
+    cell.start()
+    reads = 0
+    for name, kind in (("r", "folder"), ("m", "mcap")):
+        cell.record(name, format=kind)
+        path, most = cell.folder / "recs" / name, 0
+        for _ in range(12):
+            stamps_ns, told = frames_of(path / "000.mcap.part" if kind == "mcap" else path)
+            assert not told, told
+            assert len(stamps_ns) >= most, (len(stamps_ns), most)
+            most, reads = len(stamps_ns), reads + 1
+            pause(0.2)
+        assert most > 30, most
+        assert cell.ask("record", action="stop")["ok"]
+        cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
+        status = cell.last("status/recorder")
+        stamps_ns, told = frames_of(path / "000.mcap" if kind == "mcap" else path)
+        assert (len(stamps_ns), told, status["dropped"]) == (status["frames"], [], 0), (told, status)
+        cell.mark()
+    return Seen(f"nothing in {reads} readings; each has what was written until then", "")
+
+
+@fault("disk full at BEGIN")
+def full_at_begin(cell: Cell) -> Seen:
+    disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
+    cell.start()
+    filler = _fill(disk)
+    since_s = cell.mark()
+    answer = cell.ask("stitch", action="begin", name="one")
+    detected_s = time.monotonic() - since_s
+    assert answer.get("reason_code") == "disk_full", answer
+    filler.unlink()
+    return Seen("nothing", "the answer to BEGIN", detected_s, _begun(cell, "one"))
+
+
+@fault("disk full in a session")
+def full_in_a_session(cell: Cell) -> Seen:
+    disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
+    cell.start()
+    cell.session()
+    filler = _fill(disk)
+    detected_s = cell.told("did not add a settled contact", cell.mark())
+    presses = cell.ask("stitch", action="status")["result"]["presses"]
+    filler.unlink()
+    since_s = time.monotonic()
+    cell.presses(presses + 1)
+    missed = cell.last("status/stitching")["missed"]
+    told = "log, `status/stitching.missed`"
+    return Seen(f"{missed} presses, each refused", told, detected_s, time.monotonic() - since_s)
+
+
+@fault("a bit flipped in a session's presses")
+def flipped_bit(cell: Cell) -> Seen:
+    """The bit is in the first press; no daemon runs meanwhile."""
+    cell.start()
+    count = cell.session(count=4)
+    cell.kill()
+    path = cell.folder / "maps/one" / PRESSES
+    content = bytearray(path.read_bytes())
+    content[200] ^= 4
+    path.write_bytes(content)
+    cell.mark()
+    began_s = cell.start()
+    detected_s = cell.told("are damaged or incomplete", began_s)
+    found = cell.presses(1)
+    assert found >= count - 1, (found, count)
+    assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == content
+    return Seen(f"1 press of {count}; the file is kept beside", "log", detected_s, time.monotonic() - began_s)
+
+
+@fault("two bits flipped in a recording as MCAP")
+def flipped_in_mcap(cell: Cell) -> Seen:
+    """The bits are in the first chunk and in a later chunk's length; the daemon was killed before."""
+    cell.start()
+    cell.record(frames=100, format="mcap")
+    cell.kill()
+    path = cell.folder / "recs/r/000.mcap"
+    left = path.with_name("000.mcap.part")
+    content = bytearray(left.read_bytes())
+    whole = len(frames_of(left)[0])
+    chunks, at = list[int](), MCAP_MAGIC_BYTES
+    while at + 9 <= len(content):
+        kind, size = struct.unpack_from("<BQ", content, at)
+        if kind == MCAP_CHUNK and at + 9 + size < len(content):
+            chunks.append(at)
+        at += 9 + size
+    content[chunks[0] + 900] ^= 8
+    content[chunks[len(chunks) // 2] + 3] ^= 4
+    left.write_bytes(content)
+    cell.mark()
+    detected_s = cell.told("repaired a recording that a daemon left unfinished when it died", cell.start())
+    stamps_ns, told = frames_of(path)
+    read, each = len(stamps_ns), -(-whole // len(chunks))
+    assert 2 <= len(told) <= 4, told  # a chunk may end inside a frame, which is reported, too
+    assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
+    lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
+    return Seen(lost, "log; `replay` names the bytes, exit code 1", detected_s)
+
+
+@fault("a session's description cut")
+def cut_description(cell: Cell) -> Seen:
+    """No daemon runs meanwhile."""
+    cell.start()
+    cell.session(count=4)
+    cell.kill()
+    path = cell.folder / "maps/one" / SESSION
+    path.write_bytes(path.read_bytes()[:40])
+    cell.mark()
+    began_s = cell.start()
+    detected_s = cell.told("skipping a session", began_s)
+    _begun(cell, "two")
+    assert (cell.folder / "maps/one" / PRESSES).stat().st_size > 0
+    lost = "the session is not resumed; its presses stay"
+    return Seen(lost, "log", detected_s, time.monotonic() - began_s)
+
+
+# The daemon's process; tests/service has its watchdog and restarts under systemd.
+
+
+FROZEN_S = 5.0
+YEAR_S = 365 * 86_400
+
+
+@fault("daemon killed (-9) in a session and a recording")
+def daemon_killed(cell: Cell) -> Seen:
+    cell.start()
+    cell.session()
+    cell.record()
+    told, count = cell.last("status/recorder")["frames"], cell.last("status/stitching")["presses"]
+    since_s = cell.mark()
+    cell.kill()
+    cell.until(lambda: cell.seen.of(f"{BASE}/state")[-1:] == [b"offline"], 30, "the last will")
+    detected_s = time.monotonic() - since_s
+    assert len(frames_of(cell.folder / "recs/r")[0]) >= told
+    cell.mark()
+    began_s = cell.start()
+    assert cell.presses(1) >= count
+    return Seen("nothing that was told", "`state` offline", detected_s, time.monotonic() - began_s)
+
+
+@fault(f"daemon gets no processor for {FROZEN_S:.0f} s")
+def frozen(cell: Cell) -> Seen:
+    cell.start()
+    before = cell.frames()["captured"]
+    cell.daemon.send_signal(signal.SIGSTOP)
+    pause(FROZEN_S)
+    cell.daemon.send_signal(signal.SIGCONT)
+    recovered_s = cell.maps_again()
+    assert cell.frames()["captured"] > before
+    return Seen("what the camera showed meanwhile", "`health.source_dropped` of a camera", None, recovered_s)
+
+
+@fault("wall clock steps by a day, 10 and 100 years")
+def clock_steps(cell: Cell) -> Seen:
+    """It steps both ways while the daemon records and has a session."""
+    steps = cell.folder / "steps"
+    steps.mkdir()
+    offset = steps / "offset_s"
+    (steps / "sitecustomize.py").write_text(
+        "import pathlib, time\n"
+        f"offset, wall_ns = pathlib.Path({str(offset)!r}), time.time_ns\n"
+        "time.time_ns = lambda: max(0, wall_ns() + int(offset.read_text() or 0) * 10**9)\n"
+        "time.time = lambda: time.time_ns() / 1e9\n"
+    )
+    offset.write_text("0")
+    cell.start(environment={"PYTHONPATH": f"{steps}:{os.environ.get('PYTHONPATH', '')}"})
+    count = cell.session()
+    cell.record(frames=0)
+    slowest_s = 0.0
+    for seconds in (86_400, -86_400, 10 * YEAR_S, -10 * YEAR_S, -100 * YEAR_S, 0):
+        (steps / "beside").write_text(str(seconds))
+        (steps / "beside").replace(offset)
+        slowest_s = max(slowest_s, cell.maps_again())
+        cell.frames()
+        told_s = cell.last("health")["wall_ns"] / 1e9
+        assert abs(told_s - max(0.0, time.time() + seconds)) < 30, (told_s, seconds)
+        count = cell.presses(count + 1)
+    assert cell.ask("record", action="stop")["ok"]
+    stamps_ns, _ = frames_of(cell.folder / "recs/r")
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert len(stamps_ns) == cell.last("status/recorder")["frames"]
+    assert "Traceback" not in cell.log(), cell.log()[-300:]
+    cell.kill()
+    cell.start()
+    assert cell.presses(1) >= count
+    told = "`doctor` when the clock is unset"
+    return Seen("nothing; `wall_ns` steps, `t_ns` does not", told, None, slowest_s)
+
+
+@fault("SIGTERM during the start")
+def stopped_early(cell: Cell) -> Seen:
+    path, codes = cell.settings(), []
+    for after_s in (0.05, 0.3, 0.6, 0.9, 1.2, 1.8):
+        process = cell.spawn(path)
+        pause(after_s)
+        process.send_signal(signal.SIGTERM)
+        codes.append(cell.ended(process))
+    # Before the program's first line, the kernel ends the process, and systemd counts this as a clean exit.
+    assert set(codes) <= {0, -signal.SIGTERM}, codes
+    return Seen("nothing", f"exit codes {', '.join(map(str, codes))}")
+
+
+def _limited(cell: Cell, what: int, limit: int) -> Seen:
+    began_s = time.monotonic()
+    process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(what, (limit, limit)))
+    code = cell.ended(process)
+    assert code > 0, f"ended by signal {-code}: {cell.log()[-300:]!r}"
+    return Seen("it does not run", f"one line, exit code {code}", time.monotonic() - began_s)
+
+
+@fault("500 MB of address space")
+def little_memory(cell: Cell) -> Seen:
+    return _limited(cell, resource.RLIMIT_AS, 500 << 20)
+
+
+@fault("12 open files")
+def few_files(cell: Cell) -> Seen:
+    seen = _limited(cell, resource.RLIMIT_NOFILE, 12)
+    assert "expected at least 128" in cell.log(), cell.log()[-300:]
+    return seen
+
+
 HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
 
 
@@ -26,12 +546,12 @@ def run_one(fault: Fault) -> tuple[str, ...]:
 
 def run(words: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield the rows of the table, each with its problem or an empty string."""
-    for name, fault in FAULTS.items():
+    for name, one in FAULTS.items():
         if words and not any(word in name for word in words):
             continue
         began_s, problem = time.monotonic(), ""
         try:
-            row = (name, *run_one(fault))
+            row = (name, *run_one(one))
         except SkippedError as skipped:
             row = (name, "", "", f"not tried: {skipped}", "")
         except Exception as error:  # noqa: BLE001

@@ -40,7 +40,7 @@ from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command
-from tools.testbed.simulator.variants import released
+from tools.testbed.simulator.families import released
 
 Rng = np.random.Generator
 Change = Callable[[U8, SensorModel, Rng], U8]

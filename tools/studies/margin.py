@@ -30,10 +30,8 @@ from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
 from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame
 from tools.studies import command
-from tools.testbed.simulator.families import other
-from tools.testbed.simulator.motion import Motion, pressed
-from tools.testbed.simulator.moving_scene import MovingScene
-from tools.testbed.simulator.other_family import OtherSensor
+from tools.testbed.simulator.families import OtherSensor, other
+from tools.testbed.simulator.moving_scene import Motion, MovingScene, pressed
 
 FPS = 30
 DEPTH_MM, FAR_MM = (1.5, 3.0), 9.0

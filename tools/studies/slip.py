@@ -24,8 +24,7 @@ from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS
-from tools.testbed.simulator.motion import Motion, pressed
-from tools.testbed.simulator.moving_scene import MovingScene
+from tools.testbed.simulator.moving_scene import Motion, MovingScene, pressed
 
 FPS = 60
 OBJECT_NAMES = ("ball", "cube")

@@ -33,7 +33,7 @@ from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.simulator.two_scales import TURNING
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
-from tools.testbed.simulator.other_family import other_model
+from tools.testbed.simulator.families import other_model
 from tools.training.outside import (
     VIEWS,
     Camera,

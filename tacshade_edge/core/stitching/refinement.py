@@ -36,7 +36,7 @@ _CG_ITERATIONS_MAX = 60
 _CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one continues
 LATERAL_RATIO = 5.0  # lateral over height error of a point
 # Ratio of the moves in height from the reconstruction's errors alone to the differences that they leave: typical and
-# greatest. With exact poses it is 1.1 to 2.5 (tools/studies/stitch_pads.py).
+# greatest. With exact poses it is 1.1 to 2.5.
 _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 
 

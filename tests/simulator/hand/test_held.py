@@ -15,7 +15,7 @@ from tacshade_edge.simulator.hand.bodies import box, sphere
 from tacshade_edge.simulator.hand.held import Finger, HandTruth, Placement, felt, hold
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.types import Slip
-from tools.testbed.simulator.other_family import OtherSensor, other_model
+from tools.testbed.simulator.families import OtherSensor, other_model
 
 pytestmark = pytest.mark.slow
 BALL = sphere(BALL_MM)

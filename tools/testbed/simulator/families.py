@@ -1,13 +1,95 @@
-"""More families of simulated sensors, for studies; importing this module registers their names."""
+"""More families of simulated sensors, never trained on; importing this module registers their names for studies.
+
+The other model has a square lattice, mushroom pins, another skin and other mechanics of drag.
+"""
 
 from __future__ import annotations
 
 import argparse
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from tacshade_edge.cli.shared import study
+from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
-from tools.testbed.simulator.other_family import OtherSensor, other_model
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.prints import CAP, FRUSTUM, lattice_print
+from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
+from tacshade_edge.simulator.skin import Skin, left_over, press_skin
+from tacshade_edge.simulator.two_scales import TURNING, two_scale_skin
+from tacshade_edge.studies.evaluate.sensors import FAMILIES, PressedSensor, SensorName
+from tacshade_edge.types import F32, U8
+
+
+class OtherSensor:
+    """A `SimulatedSensor` of the other model, or of the usual model with the other's lattice, pins or skin."""
+
+    def __init__(self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True) -> None:
+        self.model = model
+        self._differences = (square, capped, two_scales)
+        marks = lattice_print(model, 90.0) if square else None
+        self._renderer = Renderer(model, marks, CAP if capped else FRUSTUM)
+        self._drawn: tuple[Skin, F32] | None = None
+
+    def noiseless(self) -> OtherSensor:
+        """Make the same sensor with a noiseless camera."""
+        return OtherSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences)
+
+    def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture."""
+        skin = self.skin(presses)
+        return SimulatedFrame(self.picture(skin, noise_seed), tuple(presses), skin, self.model)
+
+    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture after a release, while the skin still keeps part of its deformation."""
+        skin = left_over(self.skin(presses), part)
+        return SimulatedFrame(self.picture(skin, noise_seed), (), skin, self.model)
+
+    def picture(self, skin: Skin, noise_seed: int = 0) -> U8:
+        """Take a picture of a skin: uint8 (H, W, 3) BGR."""
+        if self._drawn is None or self._drawn[0] is not skin:
+            self._drawn = skin, self._renderer.draw(skin)
+        return self._renderer.expose(self._drawn[1], noise_seed)
+
+    def skin(self, presses: Sequence[Press] = ()) -> Skin:
+        """Compute the skin under the presses."""
+        model, presses = self.model, tuple(presses)
+
+        def shape(leaning_mm: F32 | None) -> Skin:
+            if self._differences[2]:
+                return two_scale_skin(model, presses, leaning_mm)
+            return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses, leaning_mm)
+
+        return drag_skin(shape, model, presses, TURNING if self._differences[2] else None)
+
+
+def other_model(seed: int) -> SensorModel:
+    """Draw a sensor with caps so wide that contact makes the image brighter."""
+    rng = np.random.default_rng((seed, 13))
+    return replace(
+        random_model(seed),
+        pin_tip_radius_pitches=float(rng.uniform(0.36, 0.40)),
+        pin_base_radius_pitches=float(rng.uniform(0.18, 0.24)),
+        marker_radius_pitches=float(rng.uniform(0.40, 0.50)),
+    )
+
+
+def released(sensor: PressedSensor, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+    """Take a picture after a release, while the skin still keeps part of its deformation."""
+    if isinstance(sensor, OtherSensor):
+        return sensor.released(presses, part, noise_seed)
+    skin, renderer = left_over(skin_under(sensor.model, tuple(presses)), part), _renderer(sensor.model)
+    return SimulatedFrame(renderer.expose(renderer.draw(skin), noise_seed), (), skin, sensor.model)
+
+
+@functools.lru_cache(maxsize=2)
+def _renderer(model: SensorModel) -> Renderer:
+    return Renderer(model)
+
 
 FINAL_SEED = 9000
 """Sensors from this seed on are for final figures; nobody evaluates them while working on the measured code."""

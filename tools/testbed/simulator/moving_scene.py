@@ -1,4 +1,4 @@
-"""A simulated sensor over time, with moving objects, a creeping skin, slowly changing light, and the truth.
+"""A simulated sensor over time: objects that move, a creeping skin, and the truth.
 
 Every result depends only on the time in seconds, so times may come in any order.
 """
@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import functools
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
 
 from tacshade_edge.simulator.drag import contact_nodes, slip_of
 from tacshade_edge.simulator.model import SensorModel
@@ -18,8 +21,89 @@ from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin, node_directions
 from tacshade_edge.types import F32, Slip
 from tools.testbed.simulator.creep import Imprint, imprint, kept, rest
-from tools.testbed.simulator.motion import Motion
-from tools.testbed.simulator.slow_light import SlowLight
+
+CLEAR_MM = 1.0
+"""Height above the skin at which a motion begins and ends."""
+
+_LEVER_MM = 5.0  # converts a turn to a motion
+_NUMBERS = tuple(field.name for field in fields(Press) if field.name != "shape")
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The knots of an object's path, which is linear between two knots; before and after, the object is absent.
+
+    Presses are of one shape; `depth_mm` is the immediate depth under the load: into a creeping skin, it sinks further.
+    """
+
+    times_s: tuple[float, ...]
+    presses: tuple[Press, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse times that do not increase, and an object whose shape changes."""
+        if len(self.times_s) != len(self.presses) or len(self.times_s) < 2:
+            raise ValueError(f"{len(self.times_s)} times for {len(self.presses)} presses, expected two or more of each")
+        if not all(np.diff(self.times_s) > 0) or not math.isfinite(self.times_s[-1] - self.times_s[0]):
+            raise ValueError(f"times_s is {self.times_s}, expected increasing numbers")
+        if any(press.shape is not self.presses[0].shape for press in self.presses):
+            raise ValueError("presses of several shapes, expected one object")
+
+    def held(self, for_s: float) -> Motion:
+        """Add a time in which the object stays."""
+        return self._then(for_s, self.presses[-1])
+
+    def dragged(self, x_mm: float, y_mm: float, speed_mm_s: float) -> Motion:
+        """Add a drag along the skin."""
+        last = self.presses[-1]
+        moved = replace(
+            last,
+            x_mm=last.x_mm + x_mm,
+            y_mm=last.y_mm + y_mm,
+            drag_x_mm=last.drag_x_mm + x_mm,
+            drag_y_mm=last.drag_y_mm + y_mm,
+        )
+        return self._then(math.hypot(x_mm, y_mm) / speed_mm_s, moved)
+
+    def released(self, speed_mm_s: float) -> Motion:
+        """Add a release along z."""
+        last = self.presses[-1]
+        up = self._then(last.depth_mm / speed_mm_s, replace(last, depth_mm=0.0))
+        return up._then(CLEAR_MM / speed_mm_s, replace(last, depth_mm=-CLEAR_MM))
+
+    def at(self, t_s: float) -> Press | None:
+        """Compute the press at a time; None while the object is absent."""
+        if not self.times_s[0] <= t_s <= self.times_s[-1]:
+            return None
+        k = min(bisect_right(self.times_s, t_s), len(self.times_s) - 1) - 1
+        one, other = self.presses[k : k + 2]
+        part = (t_s - self.times_s[k]) / (self.times_s[k + 1] - self.times_s[k])
+        between = {
+            name: a + part * (b - a) for name in _NUMBERS if (a := getattr(one, name)) != (b := getattr(other, name))
+        }
+        return replace(one, **between) if between else one
+
+    def steps_s(self, step_mm: float) -> tuple[float, ...]:
+        """List the knots' times, and times in between so that the object moves by at most a step between two times."""
+        times = [self.times_s[0]]
+        for k, (one, other) in enumerate(zip(self.presses[:-1], self.presses[1:], strict=True)):
+            along = math.hypot(other.x_mm - one.x_mm, other.y_mm - one.y_mm, other.depth_mm - one.depth_mm)
+            turned = math.radians(abs(other.rotation_deg - one.rotation_deg)) * _LEVER_MM
+            parts = max(1, math.ceil((along + turned) / step_mm))
+            times.extend(np.linspace(self.times_s[k], self.times_s[k + 1], parts + 1)[1:].tolist())
+        return tuple(times)
+
+    def _then(self, for_s: float, press: Press) -> Motion:
+        return Motion((*self.times_s, self.times_s[-1] + for_s), (*self.presses, press))
+
+
+def pressed(press: Press, start_s: float, speed_mm_s: float) -> Motion:
+    """Make a motion in which an object comes down along z from above the skin to a press."""
+    touches_s = start_s + CLEAR_MM / speed_mm_s
+    return Motion(
+        (start_s, touches_s, touches_s + press.depth_mm / speed_mm_s),
+        (replace(press, depth_mm=-CLEAR_MM), replace(press, depth_mm=0.0), press),
+    )
+
 
 _MEMORY_STEP_MM = 1.0
 _JUMP_S = 1e-6
@@ -32,15 +116,12 @@ _SPEED_SPAN_S = 0.02
 class ObjectState:
     """The state of an object at one time; `press` is None while it is absent.
 
-    The velocity is that of its lowest point along the sensor's axes, without creep; the turn is about z, from x towards
-    y. `stuck` is the part of its contact in which the skin moves with it (1 without a contact); `slip` is full if the
+    `stuck` is the part of its contact in which the skin moves with it (1 without a contact); `slip` is full if the
     whole contact slides, or slid and then came to rest; `slip_mm_s` is relative to the skin, averaged over the contact.
     """
 
     press: Press | None
     touches: bool = False
-    velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn_deg_s: float = 0.0
     stuck: float = 1.0
     slip: Slip | None = None
     slip_mm_s: float = 0.0
@@ -61,14 +142,11 @@ class _Moment:
 
 
 class MovingScene:
-    """Objects on a sensor, over time; the light may change. Equal time and noise seed give equal frames."""
+    """Objects on a sensor, over time. Equal time and noise seed give equal frames."""
 
-    def __init__(
-        self, motions: Sequence[Motion], model: SensorModel | None = None, light: SlowLight | None = None
-    ) -> None:
+    def __init__(self, motions: Sequence[Motion], model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
         self.motions = tuple(motions)
-        self._light = light
         self._renderer = Renderer(self.model)
         times = set[float]()
         for motion in self.motions:
@@ -80,10 +158,6 @@ class MovingScene:
         self._elastic = functools.lru_cache(maxsize=64)(self._imprint)
         self._drawn = functools.lru_cache(maxsize=2)(self._drawing)
 
-    def presses(self, t_s: float) -> tuple[Press, ...]:
-        """List the presses on the skin at a time, at their depths with creep."""
-        return self._moment(t_s).presses
-
     def skin(self, t_s: float) -> Skin:
         """Compute the skin's shape at a time."""
         return self._skin(self._moment(t_s))
@@ -91,10 +165,9 @@ class MovingScene:
     def frame(self, t_s: float, noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture. Raises ValueError: a press is not over the skin, or reaches the sensor's middle."""
         moment = self._moment(t_s)
-        image = self._renderer.expose(self._drawn(moment), noise_seed)
-        if self._light is not None:
-            image = self._light.on(image, self.model, t_s)
-        return SimulatedFrame(image, moment.presses, self._skin(moment), self.model)
+        return SimulatedFrame(
+            self._renderer.expose(self._drawn(moment), noise_seed), moment.presses, self._skin(moment), self.model
+        )
 
     def objects(self, t_s: float) -> tuple[ObjectState, ...]:
         """Compute the true state of each motion's object, which takes as long as three frames."""
@@ -102,7 +175,7 @@ class MovingScene:
         moments = [self._moment(t) for t in times]
         touching = [self._touching(moment) for moment in moments]
         states = []
-        for k, motion in enumerate(self.motions):
+        for k in range(len(self.motions)):
             press, stuck, slip, speed = None, 1.0, None, 0.0
             if k in moments[1].owners:
                 press = moments[1].presses[moments[1].owners.index(k)]
@@ -112,8 +185,7 @@ class MovingScene:
                     speed = math.dist(seen[0][1], seen[-1][1]) / (seen[-1][0] - seen[0][0])
                 stuck = self._stuck(moments[1], k)
                 slip = slip_of(stuck)
-            velocity, turn = motion.velocity(t_s, self.model.skin_radius_mm)
-            states.append(ObjectState(press, k in touching[1], velocity, turn, stuck, slip, speed))
+            states.append(ObjectState(press, k in touching[1], stuck, slip, speed))
         return tuple(states)
 
     def _moment(self, t_s: float) -> _Moment:

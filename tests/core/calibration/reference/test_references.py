@@ -26,7 +26,7 @@ from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.simulator.other_family import OtherSensor, other_model
+from tools.testbed.simulator.families import OtherSensor, other_model
 
 SENSOR = sensor_of(HALF)
 
