@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.sensor import Sensor, load
     from tacshade_edge.library.subscriber import listen
-    from tacshade_edge.protocol.hand import Finger, HandObject, HandObjects, Motion, Unobservable
+    from tacshade_edge.protocol.topics import Finger, HandObject, HandObjects, Motion, Unobservable
     from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
 
@@ -62,7 +62,7 @@ _HOMES = {
     "library.messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),
-    "protocol.hand": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
+    "protocol.topics": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
     "protocol.wire": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
     "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
 }

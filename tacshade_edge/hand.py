@@ -11,7 +11,8 @@ import numpy as np
 
 from tacshade_edge.core.hand.link import Patch
 from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
-from tacshade_edge.protocol.hand import Finger, HandObjects, Motion, Unobservable, away, rounded_triple
+from tacshade_edge.protocol.hand import away, rounded_triple
+from tacshade_edge.protocol.topics import Finger, HandObjects, Motion, Unobservable
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Slip
 

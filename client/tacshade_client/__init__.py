@@ -6,18 +6,24 @@ The names listed here and the module `rigid` are public.
 from .errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from .listener import Listener, listen
 from .messages import Message, decode_message, skin_mm
-from .protocol.hand_messages import Finger, HandObject, HandObjects, Motion, Unobservable, decode_hand
-from .protocol.received import (
+from .protocol.codec import decode_object
+from .protocol.topics import (
     Contact,
+    Finger,
     HandHealth,
+    HandObject,
+    HandObjects,
     Health,
     Info,
     InfoGeometry,
+    Motion,
     SlipEvent,
     Status,
     StitchedMap,
     TouchNumbers,
+    Unobservable,
     decode_contact,
+    decode_hand,
     decode_hand_health,
     decode_health,
     decode_info,
@@ -27,7 +33,6 @@ from .protocol.received import (
     decode_status,
     decode_touch,
 )
-from .protocol.strict import decode_object
 from .protocol.wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
 from .rigid import Rigid, from_seven
 from .types import Geometry, Pose

@@ -23,26 +23,13 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from .errors import ConfigError, DecodeError, DeviceError
 from .messages import Message, decode_message
 from .protocol.broker_address import host_and_port
+from .protocol.topics import OF_HANDS, OF_SENSORS
 from .quoting import quoted
 from .reasons import ReasonCode
 
 _log = logging.getLogger(__name__)
 
-NEWEST_WINS: Final = frozenset(
-    (
-        "height",
-        "cloud",
-        "shear",
-        "sigma",
-        "map/cloud",
-        "map/revision",
-        "contact",
-        "touch",
-        "health",
-        "preview",
-        "objects",
-    )
-)
+NEWEST_WINS: Final = frozenset(name for name, topic in {**OF_SENSORS, **OF_HANDS}.items() if topic.newest_wins)
 """For each of these topics only the newest message waits; for all others every message waits, in order."""
 WAITING_MAX: Final = 256
 """Most waiting messages; the next one replaces the oldest."""

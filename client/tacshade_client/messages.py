@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 from .core.geometry.back_projection import skin_points
 from .core.geometry.disc import Grid, disc_rays
 from .errors import DecodeError
-from .protocol.hand_messages import decode_hand
-from .protocol.received import (
-    InfoGeometry,
-    decode_contact,
-    decode_hand_health,
-    decode_health,
-    decode_info,
-    decode_map,
-    decode_slip,
-    decode_state,
-    decode_status,
-    decode_touch,
-)
-from .protocol.strict import decode_object
-from .protocol.wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .protocol.topics import OF_HANDS, OF_SENSORS, InfoGeometry
+from .protocol.wire_decoder import HeightMessage
 from .quoting import shown
 from .types import F32
 
-_PREVIEW_BYTES_MAX: Final = 1 << 20
-_JPEG: Final = b"\xff\xd8"
 _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z0-9_-]{1,64})/(.+)")
 
 
@@ -69,11 +53,11 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
     if found is None:
         raise DecodeError(f"topic {shown(topic)}: expected tacshade/SENSOR/... or tacshade/hand/HAND/...")
     name, part = found.groups()
-    parts = _OF_HANDS if name.startswith("hand/") else _OF_SENSORS
-    decoder = parts.get(part) or parts.get(f"{part.partition('/')[0]}/")
-    if decoder is None:
+    topics = OF_HANDS if name.startswith("hand/") else OF_SENSORS
+    known = topics.get(part) or topics.get(f"{part.partition('/')[0]}/")
+    if known is None:
         raise DecodeError(f"topic {shown(topic)}: expected one that docs/reference/mqtt.md lists")
-    return Message(name, part, decoder(part, payload), retained)
+    return Message(name, part, known.decode(part, payload), retained)
 
 
 def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
@@ -101,48 +85,3 @@ def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
     rows, cols = height.height_mm.shape
     grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
     return skin_points(height.height_mm, disc_rays(grid, geometry.geometry), geometry.geometry)
-
-
-def _binary(kind: type) -> Callable[[str, bytes], Any]:
-    def read(part: str, payload: bytes) -> Any:
-        message = decode(payload)
-        if not isinstance(message, kind):
-            raise DecodeError(f"{part}: found a {type(message).__name__}, expected a {kind.__name__}")
-        return message
-
-    return read
-
-
-def _json(decoder: Callable[[bytes], Any]) -> Callable[[str, bytes], Any]:
-    return lambda _part, payload: decoder(payload)
-
-
-def _preview(_part: str, payload: bytes) -> bytes:
-    if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
-        raise DecodeError(
-            f"preview: found a payload of {len(payload)} bytes, "
-            f"expected a JPEG image of at most {_PREVIEW_BYTES_MAX} bytes"
-        )
-    return payload
-
-
-_OF_BOTH: Final = {"state": _json(decode_state), "instance": decode_object}
-_OF_SENSORS: Final = {
-    **_OF_BOTH,
-    "height": _binary(HeightMessage),
-    "cloud": _binary(CloudMessage),
-    "shear": _binary(ShearMessage),
-    "sigma": _binary(SigmaMessage),
-    "map/cloud": _binary(CloudMessage),
-    "contact": _json(decode_contact),
-    "touch": _json(decode_touch),
-    "event/slip": _json(decode_slip),
-    "health": _json(decode_health),
-    "info": _json(decode_info),
-    "map/revision": _json(decode_map),
-    "map/final": _json(decode_map),
-    "preview": _preview,
-    "status/": decode_status,
-    "res/": decode_object,
-}
-_OF_HANDS: Final = {**_OF_BOTH, "objects": _json(decode_hand), "health": _json(decode_hand_health)}

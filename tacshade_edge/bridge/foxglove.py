@@ -18,18 +18,16 @@ from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
-from tacshade_edge.protocol.received import (
+from tacshade_edge.protocol.topics import (
     ALIVE,
+    OF_SENSORS,
     Info,
     State,
-    decode_contact,
-    decode_health,
     decode_info,
+    decode_preview,
     decode_state,
     decode_status,
-    decode_touch,
 )
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.quoting import escaped
@@ -44,8 +42,6 @@ _LINES: Final = 64
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
-_PREVIEW_BYTES_MAX: Final = 1 << 20
-_JPEG: Final = b"\xff\xd8"
 # channel: the sensor's topics that it is made from. Transforms are sent along with any other requested channel.
 _TOPICS: Final[dict[str, tuple[str, ...]]] = {
     "height": ("height",),
@@ -119,27 +115,17 @@ class _Sensor:
             case "height":
                 self._height(payload)
             case "cloud":
-                cloud = self._cloud(payload)
+                cloud: CloudMessage = OF_SENSORS[topic].decode(topic, payload)
                 self._send("cloud", lambda: made.cloud(cloud, self._id))
                 self._pose(cloud)
             case "map/cloud":
-                cloud = self._cloud(payload)
+                cloud = OF_SENSORS[topic].decode(topic, payload)
                 self._keep("map", lambda: made.cloud(cloud, self._id, "base"))
             case "preview":
-                if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
-                    raise DecodeError(
-                        f"preview: found a payload of {len(payload)} bytes, "
-                        f"expected a JPEG image of at most {_PREVIEW_BYTES_MAX} bytes"
-                    )
-                self._send("preview", lambda: made.picture(payload, self._id, now_ns))
-            case "contact":
-                decode_contact(payload)
-                self._send(topic, lambda: payload)
-            case "touch":
-                decode_touch(payload)
-                self._send(topic, lambda: payload)
-            case "health":
-                decode_health(payload)
+                jpeg = decode_preview(topic, payload)
+                self._send("preview", lambda: made.picture(jpeg, self._id, now_ns))
+            case "contact" | "touch" | "health":
+                OF_SENSORS[topic].decode(topic, payload)
                 self._send(topic, lambda: payload)
             case "state":
                 state = decode_state(payload)
@@ -152,9 +138,7 @@ class _Sensor:
                 self._line(topic, text, warns=bool(status.reason))
 
     def _height(self, payload: bytes) -> None:
-        message = wire.decode(payload)
-        if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found a message of another type, expected a height map")
+        message: HeightMessage = OF_SENSORS["height"].decode("height", payload)
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
@@ -169,12 +153,6 @@ class _Sensor:
         grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
         info = self._info
         self._keep("skin", lambda: made.skin(message.height_mm, grid, info, self._id, message.wall_ns))
-
-    def _cloud(self, payload: bytes) -> CloudMessage:
-        message = wire.decode(payload)
-        if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found a message of another type, expected a point cloud")
-        return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
         if (pose := message.pose) is not None:
@@ -223,25 +201,9 @@ class _Known:
 
 
 class FoxgloveBridge:
-    """Serves sensors to viewers.
+    """Serves sensors to viewers, all that publish if `sensors` is empty; port 0 picks any free port.
 
-    Parameters
-    ----------
-    host, port : str, int
-        Address to listen on; port 0 picks any free port.
-    sensors : sequence of str
-        Sensors to show; if empty, all that publish.
-    follow : callable
-        Receives the set of all topics needed now.
-
-    Attributes
-    ----------
-    port : int
-
-    Raises
-    ------
-    ConfigError
-        The bridge cannot listen on this address.
+    `follow` receives the set of all topics needed now. Raises ConfigError if the bridge cannot listen on this address.
     """
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:

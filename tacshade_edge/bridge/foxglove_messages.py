@@ -6,6 +6,7 @@ Values that people only read as numbers stay in mm: a pixel of the height image 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Final, Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ from foxglove.messages import (
 
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.protocol.received import Info
+from tacshade_edge.protocol.topics import Contact, Info
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.types import F32
 from tacshade_edge.types import Pose as RobotPose
@@ -57,13 +58,8 @@ CONTACT_SCHEMA: Final = {
     "type": "object",
     # All values except the codes may be null, which the JSON Schema of viewers cannot express.
     "properties": {
-        name: {"type": "number"}
-        for name in (
-            *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
-            *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s", "fps"),
-        )
-    }
-    | {name: {"type": "string"} for name in ("reason_code", "degraded_code")},
+        field.name: {"type": "string" if field.name.endswith("_code") else "number"} for field in fields(Contact)
+    },
 }
 
 Frame = Literal["base", "flange", "sensor"]
@@ -109,13 +105,7 @@ def cloud(message: CloudMessage, sensor_id: str, frame: Frame = "sensor") -> Poi
 
 
 def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -> SceneUpdate:
-    """The skin as a mesh in m, coloured by h; empty without a calibration.
-
-    Parameters
-    ----------
-    height_mm : float32 (rows, cols)
-        h at every cell of `grid`; NaN outside the disc.
-    """
+    """The skin as a mesh in m, coloured by h (rows, cols; NaN outside the disc); empty without a calibration."""
     if info.geometry is None:
         return SceneUpdate()
     every = max(1, math.ceil(max(grid.rows, grid.cols) / SKIN_CELLS_MAX))

@@ -18,7 +18,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from tacshade_edge.bridge.roster import SENSORS_MAX, Refusals, Roster
 from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.received import ALIVE, STATES, Health, State, decode_health, decode_state
+from tacshade_edge.protocol.topics import ALIVE, STATES, Health, State, decode_health, decode_state
 
 FRESH_S: Final = 5.0
 """Age at which a sensor's `health`, published once a second, is out of date."""
@@ -40,15 +40,7 @@ class _Sensor:
 
 
 class SensorMetrics:
-    """The sensors' latest states and counters, as a collector for a `prometheus_client.CollectorRegistry`.
-
-    Parameters
-    ----------
-    sensors : sequence of str
-        Sensors to report on; if empty, all that publish.
-    clock_s : callable
-        Monotonic clock in s, from which the age of a message is computed.
-    """
+    """The latest states and counters of some sensors, or all that publish: a collector for a `CollectorRegistry`."""
 
     def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
@@ -128,13 +120,7 @@ class SensorMetrics:
 
 
 class MetricsServer(ThreadingHTTPServer):
-    """Serves a registry in its own thread, plus a thread for each of at most `CONNECTIONS_MAX` connections.
-
-    Raises
-    ------
-    OSError
-        The server cannot listen on this address.
-    """
+    """Serves a registry in its own thread, plus a thread for each of `CONNECTIONS_MAX` connections. Raises OSError."""
 
     request_queue_size = CONNECTIONS_MAX
 

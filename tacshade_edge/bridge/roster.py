@@ -22,14 +22,8 @@ T = TypeVar("T")
 class Roster(Generic[T]):
     """At most `SENSORS_MAX` sensors; when it is full, a sensor of higher rank replaces the one of lowest rank.
 
-    Parameters
-    ----------
-    make : callable
-        ``make(sensor_id)`` returns the value to hold for a new sensor.
-    rank : callable
-        ``rank(value)`` returns how likely the sensor is real: the more it has published, the higher.
-    close : callable, optional
-        ``close(value)`` is called when a sensor is dropped.
+    ``make(sensor_id)`` returns the value to hold for a new sensor; ``rank(value)`` how likely the sensor is real: the
+    more it has published, the higher; ``close(value)`` is called when a sensor is dropped.
     """
 
     def __init__(
@@ -68,12 +62,7 @@ class Roster(Generic[T]):
 
 
 class Refusals:
-    """Counts refused messages by reason; logs a sensor's refusal when its text is new, at most one line a second.
-
-    Parameters
-    ----------
-    clock_s : callable
-    """
+    """Counts refused messages by reason; logs a sensor's refusal when its text is new, at most one line a second."""
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self._clock_s = clock_s

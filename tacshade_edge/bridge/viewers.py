@@ -26,7 +26,7 @@ from websockets.typing import Subprotocol
 
 from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.strict import decode_object
+from tacshade_edge.protocol.codec import decode_object
 
 _log = logging.getLogger(__name__)
 
@@ -49,15 +49,9 @@ _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A stream of messages that a viewer can subscribe to.
+    """A stream of messages that a viewer can subscribe to, with the SDK's schema or a JSON Schema with a title.
 
-    Attributes
-    ----------
-    topic : str
-    schema : foxglove.Schema or dict
-        A schema from the SDK, or a JSON Schema with a title.
-    depth : int
-        Number of messages that wait for a busy viewer; newer ones replace older ones.
+    Of its messages, `depth` wait for a busy viewer; newer ones replace older ones.
     """
 
     topic: str
@@ -130,25 +124,9 @@ class _Connection(ServerConnection):
 
 
 class Viewers:
-    """Serves channels to viewers in its own thread.
+    """Serves channels to viewers in its own thread; `on_change` is called there when one starts or stops watching.
 
-    Parameters
-    ----------
-    host, port : str, int
-        Address to listen on; port 0 picks any free port.
-    on_change : callable
-        Called in the server's thread when a viewer starts or stops watching a channel.
-
-    Attributes
-    ----------
-    port : int
-    passed_over : int
-        Number of messages that former viewers were too slow to receive; newer ones replaced them.
-
-    Raises
-    ------
-    OSError
-        The server cannot listen on this address.
+    `passed_over` counts the messages that former viewers were too slow to receive. Raises OSError.
     """
 
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:

@@ -39,7 +39,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, checks, links, ports, sources
 from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import json_payload, messages, requests
+from tacshade_edge.protocol import codec, messages, requests
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
@@ -444,7 +444,7 @@ class App:
         }
         self._active.log_late()
         self._publisher.fps = self._latest_health["delivered_fps"]
-        self.link.set_retained("health", json_payload.encode_json(self._latest_health), qos=0)
+        self.link.set_retained("health", codec.encode_json(self._latest_health), qos=0)
 
 
 # The source, the link and its topics, and the robot's line are made once.

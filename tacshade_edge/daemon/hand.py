@@ -26,9 +26,10 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
 from tacshade_edge.free_memory import share_free_memory
 from tacshade_edge.hand import HandAggregator
-from tacshade_edge.protocol import json_payload, requests
-from tacshade_edge.protocol.hand import Finger, away, decode_finger, encode_finger, encode_hand, finger_of
+from tacshade_edge.protocol import codec, requests
+from tacshade_edge.protocol.hand import away, decode_finger, encode_finger, encode_hand, finger_of
 from tacshade_edge.protocol.requests import Request
+from tacshade_edge.protocol.topics import Finger, HandHealth
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.settings import Hand, Settings
@@ -236,14 +237,14 @@ class HandProcess:
             _log.warning("%s: %s", name, error)
 
     def _publish_health(self) -> None:
-        health = {
-            "wall_ns": time.time_ns(),
-            "uptime_s": round(time.monotonic() - self._began_s, 3),
-            "heard": dict(self._heard),
-            "undecodable": self._undecodable,
-            "mqtt": self._link.counters(),
-        }
-        self._link.set_retained("health", json_payload.encode_json(health), qos=0)
+        health = HandHealth(
+            wall_ns=time.time_ns(),
+            uptime_s=round(time.monotonic() - self._began_s, 3),
+            heard=dict(self._heard),
+            undecodable=self._undecodable,
+            mqtt=self._link.counters(),
+        )
+        self._link.set_retained("health", codec.encode_json(health), qos=0)
 
     # Other threads call these.
 

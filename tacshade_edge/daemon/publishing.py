@@ -16,7 +16,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.protocol.messages import encode_status
-from tacshade_edge.protocol.received import decode_status
+from tacshade_edge.protocol.topics import decode_status
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip

@@ -14,9 +14,10 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
+from tacshade_edge.protocol.topics import StitchedMap
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -68,22 +69,22 @@ class MapPublisher:
         raster = revision.raster()
         points, spacing_mm = thinned_points(raster)
         known = raster.z_mm[np.isfinite(raster.z_mm)]
-        about = {
-            "name": revision.name,
-            "revision": revision.revision,
-            "presses": revision.presses,
-            "used": revision.used,
-            "x0_mm": raster.x0_mm,
-            "y0_mm": raster.y0_mm,
-            "width_mm": raster.z_mm.shape[1] * raster.step_mm,
-            "length_mm": raster.z_mm.shape[0] * raster.step_mm,
-            "z_min_mm": float(known.min()) if known.size else None,
-            "z_max_mm": float(known.max()) if known.size else None,
-            "area_mm2": known.size * raster.step_mm**2,
-            "points": len(points),
-            "spacing_mm": spacing_mm,
-            "folder": revision.folder,
-        }
+        about = StitchedMap(
+            name=revision.name,
+            revision=revision.revision,
+            presses=revision.presses,
+            used=revision.used,
+            x0_mm=raster.x0_mm,
+            y0_mm=raster.y0_mm,
+            width_mm=raster.z_mm.shape[1] * raster.step_mm,
+            length_mm=raster.z_mm.shape[0] * raster.step_mm,
+            z_min_mm=float(known.min()) if known.size else None,
+            z_max_mm=float(known.max()) if known.size else None,
+            area_mm2=known.size * raster.step_mm**2,
+            points=len(points),
+            spacing_mm=spacing_mm,
+            folder=revision.folder,
+        )
         cloud = encode_map_cloud(
             points,
             revision=revision.revision,

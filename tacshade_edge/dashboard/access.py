@@ -1,28 +1,36 @@
-"""Which pages may open the WebSocket: such a page can command the hand."""
+"""Who may see the page, with its token if it is open to a network, and which pages may open the WebSocket."""
 
 from __future__ import annotations
 
+import hmac
 import ipaddress
+import secrets
 import socket
 from collections.abc import Collection
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Final
 from urllib.parse import urlsplit
+
+WRONG_MAX: Final = 10
+PERIOD_S: Final = 60.0
+"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens unchecked, except
+the cookies of browsers that have already shown theirs: others at that address cannot lock them out."""
+
+_ADDRESSES_MAX: Final = 256
+_BROWSERS_MAX: Final = 256
+_BROWSER_BYTES: Final = 16
+_COOKIE_S: Final = 30 * 24 * 3600
 
 
 def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
     """Return why a WebSocket request is rejected; empty when it may proceed.
 
     Any web site open in the user's browser can try to connect to this server; the browser states the site's address as
-    `origin`. It must match ours: the `host` that the browser connected to. A site can also point its own name at our
-    address (DNS rebinding), and then both agree: so a name must be one that nobody else can own.
-
-    Parameters
-    ----------
-    origin : str or None
-        The header ``Origin``; None from a program other than a browser, which needs no such trick.
-    host : str or None
-        The header ``Host``.
-    allowed_origins : collection of str
-        Origins of further pages, such as ``https://hand.example.org`` of a reverse proxy.
+    `origin` (None: another program, which needs no such trick). It must match ours: the `host` that the browser
+    connected to, or one of `allowed_origins`, such as ``https://hand.example.org`` of a reverse proxy. A site can also
+    point its own name at our address (DNS rebinding), and then both agree: so a name must be one that nobody else can
+    own.
     """
     if origin is None or origin.lower() in allowed_origins:
         return ""
@@ -45,3 +53,82 @@ def _is_address(name: str) -> bool:
 def _own_names() -> set[str]:
     own = socket.gethostname().lower()
     return {own, f"{own.partition('.')[0]}.local"}
+
+
+@dataclass(slots=True)
+class _Tries:
+    since_s: float
+    latest: bytes | None = None
+    wrong: int = 0
+
+
+def offered(authorization: str | None) -> str | None:
+    """Return the token of the header ``Authorization: Bearer``; None without one, as with a proxy's own login."""
+    scheme, _, token = (authorization or "").partition(" ")
+    return token if scheme.lower() == "bearer" else None
+
+
+class Login:
+    """A check of tokens that counts the wrong ones of each address, all in `wrong`.
+
+    The name of the cookie that proves a browser's login contains the port, since browsers share cookies between all
+    ports of a machine; on a `secure` page, served over TLS, browsers send it only over TLS.
+    """
+
+    def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
+        self._token = token.encode()
+        self._cookie = cookie
+        self._flags = "; Secure" if secure else ""
+        self._tries: dict[str, _Tries] = {}
+        self._browsers: dict[str, None] = {}
+        self.wrong = 0
+
+    def set_cookie(self) -> str:
+        """Return the header ``Set-Cookie`` for a browser that has logged in."""
+        browser = secrets.token_urlsafe(_BROWSER_BYTES)
+        value = f"{browser}.{self._signed(browser)}"
+        return f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{self._flags}"
+
+    def _signed(self, browser: str) -> str:
+        return hmac.digest(self._token, browser.encode(errors="surrogateescape"), "sha256").hex()
+
+    def kept(self, cookies: str | None) -> str | None:
+        """Return the value of our cookie in a request's header ``Cookie``; None without one."""
+        pairs = (pair.strip().partition("=") for pair in (cookies or "").split(";"))
+        return next((value for name, _, value in pairs if name == self._cookie), None)
+
+    def refusal(self, token: str | None, kept: str | None, address: str, now_s: float) -> HTTPStatus | None:
+        """Return the status that rejects a request with a token or else a cookie; None when it may proceed.
+
+        Repeating a wrong token is no new try: a page that was open when the token changed retries every second.
+        """
+        tries = self._tries.get(address)
+        if tries is not None and now_s - tries.since_s > PERIOD_S:
+            del self._tries[address]
+            tries = None
+        if token is None and kept is None:
+            return HTTPStatus.UNAUTHORIZED
+        browser, _, signature = (kept or "").rpartition(".")
+        is_known = token is None and browser in self._browsers
+        if tries is not None and tries.wrong >= WRONG_MAX and not is_known:
+            return HTTPStatus.TOO_MANY_REQUESTS
+        offered, expected = (signature, self._signed(browser).encode()) if token is None else (token, self._token)
+        guess = offered.encode(errors="surrogateescape")
+        if hmac.compare_digest(guess, expected):
+            if token is None:
+                self._remember(browser)
+            return None
+        if tries is None:
+            if len(self._tries) >= _ADDRESSES_MAX:
+                del self._tries[next(iter(self._tries))]
+            tries = self._tries[address] = _Tries(now_s)
+        if guess != tries.latest:
+            tries.latest = guess
+            tries.wrong += 1
+            self.wrong += 1
+        return HTTPStatus.UNAUTHORIZED
+
+    def _remember(self, browser: str) -> None:
+        if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:
+            del self._browsers[next(iter(self._browsers))]
+        self._browsers[browser] = None

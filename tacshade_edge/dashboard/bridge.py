@@ -47,14 +47,7 @@ _BROKER_SOCKET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Broker:
-    """The address of the broker.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    tls : ssl.SSLContext or None
-    """
+    """The address of the broker; None is no TLS."""
 
     host: str
     port: int
@@ -70,12 +63,6 @@ class Bridge:
 
     Both directions wait for the slower side, with at most about 100 KB in between: if a page does not keep up, the
     broker drops messages by its own rules.
-
-    Parameters
-    ----------
-    broker : Broker
-    read_only : bool
-        Pages may subscribe but not send requests.
     """
 
     def __init__(self, broker: Broker, *, read_only: bool) -> None:

@@ -24,15 +24,7 @@ _HTML: Final = b'<html lang="en">'
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """One file as the server sends it.
-
-    Attributes
-    ----------
-    body : bytes
-    content_type : str
-    etag : str
-        Changes with the content.
-    """
+    """One file as the server sends it; `etag` changes with the content."""
 
     body: bytes
     content_type: str
@@ -42,12 +34,7 @@ class File:
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
     """Load every file of the page by its URL path; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
 
-    Parameters
-    ----------
-    read_only : bool
-        Mark the page as one that may not send requests.
-    recordings : bool
-        Mark the page as one with a list of recordings.
+    The page is marked as one that may not send requests, or has a list of recordings.
     """
     found = dict(_walk(resources.files(__package__) / "static", ""))
     index = found["/index.html"]

@@ -34,10 +34,7 @@ class ReadOnly:
     def passed(self, data: bytes) -> bytes:
         """Return the packets that are complete now, unchanged.
 
-        Raises
-        ------
-        DecodeError
-            One of them would do more than read, or is not MQTT; the caller must send none of them.
+        Raises DecodeError if one of them would do more than read, or is not MQTT; the caller must send none of them.
         """
         data = self._rest + data
         end = 0

@@ -1,4 +1,7 @@
-"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket."""
+"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket.
+
+Anyone who reaches the port can open connections, so their number and their buffers are limited.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,29 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from tacshade_edge.dashboard import access, files, login
-from tacshade_edge.dashboard.bounds import Bounds, bounded, report_device_errors
+from tacshade_edge.dashboard import access, files
+from tacshade_edge.dashboard.access import Login
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
-from tacshade_edge.dashboard.login import Login
-from tacshade_edge.dashboard.recording_commands import RecordingCommands
-from tacshade_edge.devices.listener import Listener
+from tacshade_edge.dashboard.recordings import RecordingCommands
+from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
+CONNECTIONS_MAX: Final = 48
+"""Pages, file requests and connections that have sent nothing yet; the server closes any further one at once."""
+PAGES_MAX: Final = 16
+"""WebSockets; each also opens a connection to the broker, which queues up to 20 messages if the page does not read."""
+UNSENT_BYTES_MAX: Final = 1 << 20
+"""Answers (pongs) in bytes that a peer may leave unread; our own messages wait long before that."""
 _WEBSOCKETS: Final = ("/mqtt", "/recordings")
 _METHODS: Final = ("GET", "HEAD")
 _INDEX: Final = ("/", "/index.html")
@@ -37,7 +45,7 @@ _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # served without a token
 _REFUSED: Final = {
     HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start or that its token file holds",
-    HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
+    HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {access.PERIOD_S:.0f} s",
 }
 _SPEAK_S: Final = 5  # limit for a request, and for the TLS handshake
 _FRAMES_WAITING_MAX: Final = 4
@@ -45,19 +53,65 @@ _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
 
 
-class Pages:
-    """The answers to HTTP requests; permitted WebSocket requests pass.
+class Bounds:
+    """The open connections and pages, and the number turned away."""
 
-    Parameters
-    ----------
-    allowed_origins : collection of str
-        See `access.refusal`.
-    bounds : Bounds
-    tokens : Login or None
-        None lets everybody who reaches the page see it.
-    read_only, recordings : bool
-        See `files.load`.
-    """
+    def __init__(self) -> None:
+        self._connections = Connections(CONNECTIONS_MAX)
+        self._pages: set[ServerConnection] = set()
+        self.turned_away = 0
+
+    def admit(self, connection: socket.socket) -> bool:
+        """Count a connection; return False when too many are open."""
+        if admitted := self._connections.admit(connection):
+            return admitted
+        self._turn_away(f"{CONNECTIONS_MAX} connections are already open, the limit")
+        return False
+
+    def admit_page(self, connection: ServerConnection) -> str:
+        """Count a connection as a page; return why it is rejected when too many are open, else an empty text."""
+        if len(self._pages) >= PAGES_MAX:
+            return self._turn_away(f"{PAGES_MAX} pages are already open, the limit")
+        self._pages.add(connection)
+        return ""
+
+    def release(self, connection: ServerConnection) -> None:
+        """Remove a page that has ended."""
+        self._pages.discard(connection)
+
+    def _turn_away(self, why: str) -> str:
+        self.turned_away += 1
+        _log.warning("rejected a connection (%d so far): %s", self.turned_away, why)
+        return why
+
+
+def bounded(bounds: Bounds) -> type[ServerConnection]:
+    """Return the connection class that enforces `bounds`."""
+
+    class Connection(ServerConnection):
+        def connection_lost(self, exc: Exception | None) -> None:
+            bounds.release(self)
+            super().connection_lost(exc)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
+                _log.warning("disconnected a page that kept sending messages but read none")
+                self.transport.abort()
+
+    return Connection
+
+
+def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Handle a loop's exception: no traceback for what the system refuses, such as one more open file."""
+    if isinstance(error := context.get("exception"), OSError):
+        _log.warning("%s: %s", context.get("message", "the system refused a connection"), error.strerror or error)
+    else:
+        loop.default_exception_handler(context)
+
+
+class Pages:
+    """The answers to HTTP requests; permitted WebSocket requests pass. Without `tokens`, everybody sees the page."""
 
     def __init__(
         self,
@@ -103,7 +157,7 @@ class Pages:
     def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
         """Return the response to a request without the token or to a login; None if the request may proceed."""
         try:
-            offered, kept = login.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
+            offered, kept = access.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
         except LookupError:
             return self._text(
                 HTTPStatus.BAD_REQUEST, "found Authorization or Cookie more than once, expected each once"
@@ -163,28 +217,9 @@ async def run(
 ) -> None:
     """Serve until `stop` is set; every connection is closed less than a second later.
 
-    Parameters
-    ----------
-    broker : Broker
-    host, port : str, int
-        Address to listen on; port 0 selects a free one.
-    allowed_origins : collection of str
-    listening : callable
-        ``listening(host, port)``, called once when the port is open.
-    stop : asyncio.Event
-    tls : ssl.SSLContext, optional
-        Serve the page over TLS only.
-    token : str, optional
-        Required to see the page.
-    read_only : bool
-        Forward no requests of a page.
-    recordings : Path, optional
-        Folder of recordings that pages may list, download and, unless read-only, play and delete.
-
-    Raises
-    ------
-    DeviceError
-        The port cannot be opened.
+    `listening(host, port)` is called once when the port is open; port 0 selects a free one. The page requires `token`
+    if there is one; pages may list, download and, unless `read_only`, play and delete the recordings in a folder.
+    Raises DeviceError if the port cannot be opened.
     """
     # A port scanner or a browser that gives up is not worth a log entry; each would cause a traceback.
     quiet = logging.getLogger("websockets.server")

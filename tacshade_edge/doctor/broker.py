@@ -29,7 +29,7 @@ from tacshade_edge.devices.mqtt.client_id_guard import place_of
 from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.strict import decode_object
+from tacshade_edge.protocol.codec import decode_object
 
 _CONNECT_S = 3.0
 _KEEPALIVE_S = 3  # also paho's limit for the TLS handshake

@@ -22,8 +22,8 @@ import msgspec
 from tacshade_edge.doctor import Finding
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations, links
+from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.protocol.messages import encode_info
-from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import Document, Settings, to_yaml
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.types import U8

@@ -15,7 +15,8 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.hand import messages
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol.hand import Finger, HandObjects, finger_of
+from tacshade_edge.protocol.hand import finger_of
+from tacshade_edge.protocol.topics import Finger, HandObjects
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.settings import Settings, json_schema
 from tacshade_edge.settings.load import read_struct

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from tacshade_edge.core.geometry.back_projection import cells_that_see
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.received import (
+from tacshade_edge.protocol.topics import (
+    OF_SENSORS,
     Contact,
     Info,
     TouchNumbers,
@@ -33,8 +33,6 @@ _STREAMS: Final = ("height", "cloud", "shear", "sigma")
 TOPICS: Final = (*_STREAMS, "touch", "contact", "info", "state")
 _SEQ: Final = struct.Struct("<8xI")
 
-M = TypeVar("M", HeightMessage, CloudMessage, ShearMessage, SigmaMessage)
-
 
 @dataclass(frozen=True, slots=True)
 class _Whole:
@@ -48,13 +46,8 @@ class _Whole:
 class FrameAssembler:
     """Takes one daemon's messages in the order in which the daemon sent them; keeps the newest complete frame.
 
-    Attributes
-    ----------
-    info : Info
-    state : str
-        Both as last published.
-    passed_over : int
-        Frames that a newer one replaced, that arrived incomplete, or that do not match the published calibration.
+    `info` and `state` are as last published. `passed_over` counts the frames that a newer one replaced, that arrived
+    incomplete, or that do not match the published calibration.
     """
 
     def __init__(self) -> None:
@@ -118,10 +111,11 @@ class FrameAssembler:
         if (known := self.info.geometry) is None:
             return None
         contact, geometry = whole.contact, known.geometry
-        height = _decoded(HeightMessage, whole.streams.get("height"))
-        cloud = _decoded(CloudMessage, whole.streams.get("cloud"))
-        shear = _decoded(ShearMessage, whole.streams.get("shear"))
-        sigma = _decoded(SigmaMessage, whole.streams.get("sigma"))
+        found = {name: OF_SENSORS[name].decode(name, data) for name, data in whole.streams.items()}
+        height: HeightMessage | None = found.get("height")
+        cloud: CloudMessage | None = found.get("cloud")
+        shear: ShearMessage | None = found.get("shear")
+        sigma: SigmaMessage | None = found.get("sigma")
         if height is not None and height.calibration_crc32 != known.calibration_crc32:
             return None
         for other in (shear, sigma):
@@ -158,16 +152,6 @@ class FrameAssembler:
         if made.valid:
             made = follow(self._tracker, made)
         return result_of(made, geometry, height.pose if height else None, None)
-
-
-def _decoded(kind: type[M], payload: bytes | None) -> M | None:
-    """Decode a stream's message; None if there is none. Raises DecodeError."""
-    if payload is None:
-        return None
-    message = wire.decode(payload)
-    if not isinstance(message, kind):
-        raise DecodeError(f"found a {type(message).__name__}, expected a {kind.__name__}")
-    return message
 
 
 def _touched(

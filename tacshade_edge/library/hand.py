@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.factories import hand_recordings
 from tacshade_edge.library.arguments import path_of, wrong
-from tacshade_edge.protocol.hand import HandObjects
+from tacshade_edge.protocol.topics import HandObjects
 
 
 def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:

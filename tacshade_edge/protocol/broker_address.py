@@ -16,13 +16,7 @@ _HOST_CHARS_MAX: Final = 253
 
 
 def host_and_port(broker: str) -> tuple[str, int]:
-    """Split ``HOST`` or ``HOST:PORT`` into host and port; an IPv6 address is in brackets, the default port is 1883.
-
-    Raises
-    ------
-    ConfigError
-        The host name or the port is not valid.
-    """
+    """Split ``HOST`` or ``HOST:PORT``; an IPv6 address is in brackets, the default port is 1883. Raises ConfigError."""
     host, colon, port = broker.rpartition(":")
     if not colon:
         host, port = broker, _PORT

@@ -40,10 +40,7 @@ def first_number(number: int) -> str:
 def straight(x_mm: float, y_mm: float, z_mm: float, feed_mm_s: float) -> str:
     """The command for a straight move to a position, rounded to 1 µm, at a feed rounded down to whole mm/min.
 
-    Raises
-    ------
-    ValueError
-        The position is not within ±1e6 mm, or the feed is below 1 mm/min.
+    Raises ValueError for a position beyond ±1e6 mm, or a feed below 1 mm/min.
     """
     feed_mm_min = int(60 * feed_mm_s)
     if feed_mm_min < 1:
@@ -72,11 +69,8 @@ _STAY_AWAKE: Final = (  # the start of a firmware's name
 def stay_awake(firmware: str) -> str | None:
     """The command that keeps idle motors on: a printer that switches them off loses its position without notice.
 
-    Returns
-    -------
-    str or None
-        Empty for a firmware that needs none. None for an unknown one: what Marlin understands as "keep them on"
-        switches them off at once in others, Klipper among them.
+    Empty for a firmware that needs none. None for an unknown one: what Marlin understands as "keep them on" switches
+    them off at once in others, Klipper among them.
     """
     return next((command for name, command in _STAY_AWAKE if name.match(firmware)), None)
 
@@ -197,20 +191,8 @@ _RESENDS_MAX = 3
 class Exchange:
     """The host's end of the line, without a clock.
 
-    Attributes
-    ----------
-    is_done : bool
-        Whether the printer has answered the command.
-    failure : str
-        Why the printer can no longer be trusted; empty while it can. It persists until `begin_anew`.
-    has_restarted : bool
-        Whether the printer has ever restarted; `begin_anew` does not clear it.
-    position : Position or None
-        The position in the printer's answer.
-    said : tuple of str
-        The other lines since the command, at most `_SAID_MAX`.
-    busy : int
-        How often the printer reported that it is busy.
+    `failure` is why the printer can no longer be trusted, until `begin_anew`; `has_restarted` stays. `position` is that
+    in the printer's answer, `said` its other lines since the command, and `busy` how often it reported that it is busy.
     """
 
     _SAID_MAX = 32

@@ -1,7 +1,7 @@
 """Encode ``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch, in the hand's frame, as JSON.
 
 Each finger's daemon computes its part, and the hand's own process merges the parts: `encode_finger` and `decode_finger`
-carry a part from one to the other, `encode_hand` and `hand_messages.decode_hand` serve the topic.
+carry a part from one to the other, `encode_hand` and `topics.decode_hand` serve the topic.
 """
 
 from __future__ import annotations
@@ -12,40 +12,10 @@ import msgspec
 import numpy as np
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.hand_messages import (
-    FINGERS_MAX,
-    OBJECTS_MAX,
-    Finger,
-    FingerState,
-    HandObject,
-    HandObjects,
-    Motion,
-    Triple,
-    Unobservable,
-    decode_hand,
-)
+from tacshade_edge.protocol.topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Triple
 from tacshade_edge.reasons import Reason, code_of
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F64, Reconstruction, TouchedObject
-
-__all__ = [
-    "FINGERS_MAX",
-    "OBJECTS_MAX",
-    "Finger",
-    "FingerState",
-    "HandObject",
-    "HandObjects",
-    "Motion",
-    "Triple",
-    "Unobservable",
-    "away",
-    "decode_finger",
-    "decode_hand",
-    "encode_finger",
-    "encode_hand",
-    "finger_of",
-    "rounded_triple",
-]
 
 _DIGITS: Final = 4  # 0.1 µm
 

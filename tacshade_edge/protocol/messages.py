@@ -1,4 +1,4 @@
-"""Encode the JSON payloads of the daemon: ``contact``, ``touch``, ``event/slip``, ``info``, ``status/<part>``."""
+"""What the daemon publishes as JSON of a frame and of itself: `topics` has the types."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.codec import encode_json
+from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent, TouchNumbers
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
@@ -29,47 +30,41 @@ TOUCH_SCHEMA: Mapping[str, Any] = {
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
-    """The ``contact`` payload: flat numbers, and codes of `reasons.ReasonCode`, empty when all is well.
-
-    ``contact`` is 0 or 1, ``objects`` the number of objects, ``area_mm2`` their total area; ``x_mm`` and ``y_mm`` are
-    the centroid of the largest object, null without one because 0 is a valid position. Shear, twist and slip (0 stick,
-    1 partial, 2 full) each come from the object with the largest value, null if none has one. `fps` is the delivery
-    rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's monotonic clock and in Unix time.
-    """
+    """The ``contact`` payload; `fps` is the delivery rate in 1/s."""
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
     shears = [o.shear_mm for o in result.objects if o.shear_mm is not None]
     shear_x_mm, shear_y_mm = max(shears, key=lambda x_y: math.hypot(*x_y), default=(None, None))
     slips = [(o.slip, o.slip_mm_s or 0.0) for o in result.objects if o.slip is not None]
     slip, slip_mm_s = max(slips, default=(None, None))
     return encode_json(
-        {
-            "t_ns": result.t_ns,
-            "seq": result.seq,
-            "contact": int(result.contact),
-            "depth_max_mm": result.depth_max_mm,
-            "area_mm2": sum((o.area_mm2 for o in result.objects), 0.0),
-            "volume_mm3": result.volume_mm3,
-            "objects": len(result.objects),
-            "x_mm": x_mm,
-            "y_mm": y_mm,
-            "shear_x_mm": shear_x_mm,
-            "shear_y_mm": shear_y_mm,
-            "twist_deg": max((o.twist_deg for o in result.objects if o.twist_deg is not None), key=abs, default=None),
-            "slip": slip,
-            "slip_mm_s": slip_mm_s,
-            "fps": fps,
-            "reason_code": code_of(result.reason),
-            "degraded_code": code_of(result.degraded),
-            "wall_ns": result.wall_ns,
-        }
+        Contact(
+            t_ns=result.t_ns,
+            seq=result.seq,
+            contact=int(result.contact),
+            depth_max_mm=result.depth_max_mm,
+            area_mm2=sum((o.area_mm2 for o in result.objects), 0.0),
+            volume_mm3=result.volume_mm3,
+            objects=len(result.objects),
+            x_mm=x_mm,
+            y_mm=y_mm,
+            shear_x_mm=shear_x_mm,
+            shear_y_mm=shear_y_mm,
+            twist_deg=max((o.twist_deg for o in result.objects if o.twist_deg is not None), key=abs, default=None),
+            slip=slip,
+            slip_mm_s=slip_mm_s,
+            fps=fps,
+            reason_code=code_of(result.reason),
+            degraded_code=code_of(result.degraded),
+            wall_ns=result.wall_ns,
+        )
     )
 
 
 def encode_touch(result: Reconstruction) -> bytes:
-    """The ``touch`` payload: each quantity, its standard deviation, and why some or all are unknown."""
+    """The ``touch`` payload."""
     reason = result.reason if result.touch is None else result.touch.reason
-    when = {"t_ns": result.t_ns, "seq": result.seq, "wall_ns": result.wall_ns}
-    return encode_json({**when, **touch_fields(result.touch), **reason_fields(reason)})
+    fields: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
+    return encode_json(TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **fields))
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:
@@ -84,18 +79,10 @@ def _rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
 
 
 def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
-    """The ``event/slip`` payload: which object began to slide, when, where and how fast over the skin."""
+    """The ``event/slip`` payload of an object that began to slide."""
     x_mm, y_mm, _ = sliding.centroid_mm
-    return encode_json(
-        {
-            "t_ns": result.t_ns,
-            "seq": result.seq,
-            "id": sliding.id,
-            "x_mm": x_mm,
-            "y_mm": y_mm,
-            "slip_mm_s": sliding.slip_mm_s,
-        }
-    )
+    slip = SlipEvent(t_ns=result.t_ns, seq=result.seq, id=sliding.id, x_mm=x_mm, y_mm=y_mm, slip_mm_s=sliding.slip_mm_s)
+    return encode_json(slip)
 
 
 def encode_info(
@@ -110,49 +97,41 @@ def encode_info(
     hand_id: str | None = None,
     hand_T_sensor: Sequence[float] | None = None,
 ) -> bytes:
-    """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
-
-    `calibration` is the reason if there is no calibration; ``geometry`` is then null.
-
-    `profiles` are the names that ``req/profile`` accepts, if any. `choice` is the chosen one of them; None means
-    `profile`. `reference` is where the reference started and how far it may follow from there; None if it does not
-    follow. `hand_id` names the hand that the sensor is a finger of, and `hand_T_sensor` (x, y, z in mm, quaternion w,
-    x, y, z) is the sensor's pose in it; both are None without a hand.
-    """
+    """The ``info`` payload; `calibration` is the reason if there is none, a missing `choice` means `profile`."""
     missing, known = (calibration, None) if isinstance(calibration, Reason) else (None, calibration)
     return encode_json(
-        {
-            "version": version,
-            "wire_version": WIRE_VERSION,
-            "config_digest": config_digest,
-            "profile": profile,
-            "profiles": profiles,
-            "choice": choice or profile,
-            "reference": reference,
-            "geometry": _geometry_json(known) if known else None,
-            "hand_id": hand_id,
-            "hand_T_sensor": hand_T_sensor,
+        Info(
+            version=version,
+            wire_version=WIRE_VERSION,
+            config_digest=config_digest,
+            profile=profile,
+            profiles=tuple(profiles),
+            choice=choice or profile,
+            reference=None if reference is None else dict(reference),
+            geometry=_geometry(known) if known else None,
+            hand_id=hand_id,
+            hand_T_sensor=None if hand_T_sensor is None else tuple(hand_T_sensor),  # type: ignore[arg-type]
             **reason_fields(missing),
-        }
+        )
     )
 
 
-def _geometry_json(calibration: Calibration) -> dict[str, object]:
+def _geometry(calibration: Calibration) -> InfoGeometry:
     geometry = calibration.geometry
-    return {
-        "skin_radius_mm": geometry.skin_radius_mm,
-        "camera_distance_mm": geometry.camera_distance_mm,
-        "visible_half_angle_deg": geometry.visible_half_angle_deg,
-        "f_px": geometry.f_px,
-        "mm_per_px": geometry.mm_per_px,
-        "row_c": geometry.disc.row_c,
-        "col_c": geometry.disc.col_c,
-        "radius_px": geometry.disc.radius_px,
-        "image_height_px": calibration.image_height_px,
-        "image_width_px": calibration.image_width_px,
-        "flange_T_sensor": calibration.flange_T_sensor,
-        "calibration_crc32": calibration.crc32,
-    }
+    return InfoGeometry(
+        skin_radius_mm=geometry.skin_radius_mm,
+        camera_distance_mm=geometry.camera_distance_mm,
+        visible_half_angle_deg=geometry.visible_half_angle_deg,
+        f_px=geometry.f_px,
+        mm_per_px=geometry.mm_per_px,
+        row_c=geometry.disc.row_c,
+        col_c=geometry.disc.col_c,
+        radius_px=geometry.disc.radius_px,
+        image_height_px=calibration.image_height_px,
+        image_width_px=calibration.image_width_px,
+        flange_T_sensor=calibration.flange_T_sensor,  # type: ignore[arg-type]
+        calibration_crc32=calibration.crc32,
+    )
 
 
 def encode_status(

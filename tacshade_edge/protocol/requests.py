@@ -10,7 +10,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.results import ReferenceTaken, RequestResult
 from tacshade_edge.protocol.serial.commands import error_word
 from tacshade_edge.quoting import escaped

@@ -12,16 +12,9 @@ _ENCAPSULATION_BYTES = 4
 
 @dataclass(frozen=True, slots=True)
 class PixelRows:
-    """An uncompressed image, row by row.
+    """An uncompressed image, row by row, each of `step_bytes` with its padding.
 
-    Attributes
-    ----------
-    height_px, width_px : int
-    encoding : str
-        ``mono8``, ``bgr8`` and the like, as both ROS 2 and Foxglove name them.
-    step_bytes : int
-        Length of a row, including its padding.
-    data : bytes
+    `encoding` is ``mono8``, ``bgr8`` and the like, as both ROS 2 and Foxglove name them.
     """
 
     height_px: int

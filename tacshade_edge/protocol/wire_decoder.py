@@ -140,11 +140,8 @@ class SigmaMessage(_GridMessage):
 def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage | ShearMessage | SigmaMessage:
     """Decode one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
 
-    Raises
-    ------
-    DecodeError
-        The payload is too short, has an unknown magic, version, kind or codec, a wrong length or CRC, more than
-        `CELLS_MAX` cells or points, or a number that no sensor, robot or object has.
+    Raises DecodeError if the payload is too short, has an unknown magic, version, kind or codec, a wrong length or CRC,
+    more than `CELLS_MAX` cells or points, or a number that no sensor, robot or object has.
     """
     data = bytes(data)
     kind, rows, cols = _check(data)

@@ -14,13 +14,14 @@ import tacshade_client as tc
 from hypothesis import given
 from hypothesis import strategies as st
 from support.published_sensor import CRC, bump, calibration, dragged, health
+from tacshade_client.protocol.topics import OF_SENSORS, SlipEvent, _json
 
 import tacshade_edge.core.geometry.back_projection as core
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.hand import away, encode_hand
-from tacshade_edge.protocol.hand_messages import HandObjects
-from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.topics import HandObjects
 from tacshade_edge.reasons import Reason, ReasonCode
 
 ROOT = Path(__file__).parents[2]
@@ -100,6 +101,12 @@ def test_a_topic_that_is_none_is_refused(topic: str) -> None:
         tc.decode_message(topic, SENT["left/height"])
 
 
+def test_a_new_topic_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(OF_SENSORS, "event/new", _json(SlipEvent))
+    message = tc.decode_message("tacshade/left/event/new", SENT["left/event/slip"])
+    assert isinstance(message.value, tc.SlipEvent)
+
+
 @pytest.mark.parametrize(("topic", "sent"), [("left/height", "left/cloud"), ("left/cloud", "left/height")])
 def test_another_kind_of_payload_is_refused(topic: str, sent: str) -> None:
     with pytest.raises(tc.DecodeError, match="found a"):
@@ -138,5 +145,5 @@ def test_it_needs_nothing_of_the_daemon() -> None:
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT / "client", capture_output=True, text=True, check=True)
     loaded: list[Any] = json.loads(done.stdout.replace("'", '"'))
-    assert {"numpy", "paho", "tacshade_client"} <= set(loaded)
-    assert not {"tacshade_edge", "msgspec", "cv2", "scipy", "yaml", "onnxruntime", "serial"} & set(loaded)
+    assert {"msgspec", "numpy", "paho", "tacshade_client"} <= set(loaded)
+    assert not {"tacshade_edge", "cv2", "scipy", "yaml", "onnxruntime", "serial"} & set(loaded)

@@ -1,4 +1,4 @@
-"""The wheel alone, beside NumPy and paho-mqtt and nothing else, listens to a daemon on the simulated sensor."""
+"""The wheel alone, beside NumPy, msgspec and paho-mqtt only, listens to a daemon on the simulated sensor."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ def test_it_is_small_and_owns_no_file_of_the_daemons_wheel(tmp_path: Path) -> No
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"tacshade_client"}
     assert {"tacshade_client/py.typed", "tacshade_client/protocol/wire_decoder.py"} <= set(names)
     assert (about["Version"], about["License-Expression"]) == (version(), "MIT")
-    assert [re.split("[<>]", need)[0] for need in about.get_all("Requires-Dist", [])] == ["numpy", "paho-mqtt"]
+    needs = [re.split("[<>]", need)[0] for need in about.get_all("Requires-Dist", [])]
+    assert needs == ["msgspec", "numpy", "paho-mqtt"]
 
 
 def test_the_camera_for_lerobot_has_the_name_that_lerobot_looks_for(tmp_path: Path) -> None:
@@ -104,7 +105,7 @@ def test_alone_it_listens_to_a_daemon(tmp_path: Path) -> None:
     found = json.loads(done.stdout)
     assert found["radius_mm"] == pytest.approx(FULL.skin_radius_mm, abs=0.2)
     assert {"numpy", "paho", "tacshade_client"} <= set(found["modules"])
-    assert not {"tacshade_edge", "msgspec", "cv2", "yaml", "scipy"} & set(found["modules"])
+    assert not {"tacshade_edge", "cv2", "yaml", "scipy"} & set(found["modules"])
 
 
 def environment(folder: Path, wheel: Path) -> Path:
@@ -113,7 +114,7 @@ def environment(folder: Path, wheel: Path) -> Path:
     python = folder / "bin" / "python"
     told = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
     packages = Path(subprocess.run(told, check=True, capture_output=True, text=True).stdout.strip())
-    for pattern in ("numpy*", "paho*"):
+    for pattern in ("msgspec*", "numpy*", "paho*"):
         for found in Path(np.__file__).parents[1].glob(pattern):
             (packages / found.name).symlink_to(found)
     words = [

@@ -39,7 +39,7 @@ from support.shown_page import (
 )
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.protocol import json_payload, messages, wire
+from tacshade_edge.protocol import codec, messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
@@ -193,7 +193,7 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
     sensor.publish_info("fast", profiles=("fast",), missing=missing)
     sensor.publish("state", b"degraded", retain=True)
     sensor.publish("status/camera", messages.encode_status("unusable", missing), retain=True)
-    sensor.publish("health", json_payload.encode_json({"invalid_reason": missing.text}))
+    sensor.publish("health", codec.encode_json({"invalid_reason": missing.text}))
     sensor.publish("preview", picture)
     shows(page, "state", "degraded camera: not calibrated: found no file")
     wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")

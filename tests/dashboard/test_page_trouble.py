@@ -81,23 +81,6 @@ def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Pa
             chromium.get("about:blank")
 
 
-def test_what_a_hand_refuses_or_does_not_answer_is_told(
-    page: Chrome, address: str, sensor: PublishedSensor, seen: Subscriber
-) -> None:
-    opened(page, address)
-    wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-    page.find_element(By.ID, "rezero").click()
-    asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
-    sensor.publish("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
-    sensor.publish("res/reference", b"no JSON")
-    sensor.publish(
-        "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
-    )
-    wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
-    page.find_element(By.ID, "rezero").click()
-    shows(page, "answer", "no answer within 8 s", 20)
-
-
 def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, address: str, sensor: PublishedSensor) -> None:
     evil = '<img src=x onerror="document.title=1"> & <b>bold</b>'
     opened(page, address)

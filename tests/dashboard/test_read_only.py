@@ -68,20 +68,15 @@ def test_who_only_looks_passes(version: MQTTProtocolVersion) -> None:
     assert ReadOnly().passed(sent) == sent
 
 
-@pytest.mark.parametrize("version", [V311, V5])
-def test_a_last_will_is_a_message_too(version: MQTTProtocolVersion) -> None:
-    hello = sent_by_paho(version, lambda client: client.will_set("tacshade/a/req/reference", b"{}"))
-    with pytest.raises(DecodeError, match="last will"):
-        ReadOnly().passed(hello)
-
-
-def test_nothing_is_kept_for_a_page_that_is_gone() -> None:
+def test_a_last_will_is_a_message_too_and_nothing_is_kept_for_a_page_that_is_gone() -> None:
     properties = Properties(PacketTypes.CONNECT)
     properties.SessionExpiryInterval = 10
-    with pytest.raises(DecodeError, match="persistent session"):
-        ReadOnly().passed(sent_by_paho(V5, lambda _: None, properties=properties))
-    with pytest.raises(DecodeError, match="persistent session"):
-        ReadOnly().passed(connect(4, flags=0))
+    for version in (V311, V5):
+        with pytest.raises(DecodeError, match="last will"):
+            ReadOnly().passed(sent_by_paho(version, lambda client: client.will_set("tacshade/a/req/reference", b"{}")))
+    for hello in (sent_by_paho(V5, lambda _: None, properties=properties), connect(4, flags=0)):
+        with pytest.raises(DecodeError, match="persistent session"):
+            ReadOnly().passed(hello)
 
 
 @pytest.mark.parametrize(

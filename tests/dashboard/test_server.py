@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import re
 import ssl
@@ -13,7 +14,7 @@ from support.page_server import answer, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tacshade_edge.dashboard import files
-from tacshade_edge.dashboard.bounds import CONNECTIONS_MAX, PAGES_MAX
+from tacshade_edge.dashboard.server import CONNECTIONS_MAX, PAGES_MAX
 from tools.testbed.certificate import certificate
 
 STATIC = Path(files.__file__).parent / "static"
@@ -53,19 +54,9 @@ async def test_a_file_is_sent_once() -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "/../server.py",
-        "/vendor/../../server.py",
-        "/%2e%2e/server.py",
-        "/..%2fserver.py",
-        "//etc/passwd",
-        "/etc/passwd",
-        "/vendor/",
-        "/vendor",
-        "/static/index.html",
-        "/vendor/vendored.md",
-        "/index.html/",
-        "/\\..\\server.py",
-        "http://127.0.0.1/main.js",
+        *("/../server.py", "/vendor/../../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "/\\..\\server.py"),
+        *("//etc/passwd", "/etc/passwd", "/vendor/", "/vendor", "/static/index.html", "/vendor/vendored.md"),
+        *("/index.html/", "http://127.0.0.1/main.js"),
     ],
 )
 async def test_what_is_not_in_the_table_does_not_exist(path: str) -> None:
@@ -121,17 +112,33 @@ async def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> No
     assert told == ["rejected a connection (1 so far): 16 pages are already open, the limit"]
 
 
-async def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
-    async with running() as port:
+@pytest.mark.parametrize("tls", [False, True])
+async def test_so_many_connections_and_handshakes_and_no_more(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, tls: bool
+) -> None:
+    cert, key = certificate(tmp_path)
+    offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    offered.load_cert_chain(cert, key)
+    trusted = ssl.create_default_context(cafile=cert) if tls else None
+
+    async def index(port: int) -> bytes:
+        with contextlib.suppress(OSError):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+            writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+            said = await reader.read()
+            writer.close()
+            return said
+        return b""
+
+    async with running(tls=offered if tls else None) as port:
         mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
-        assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""
+        assert await index(port) == b""
         for _, writer in mute:
             writer.close()
-        while (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[:12] != b"HTTP/1.1 200":
+        while (await index(port))[:12] != b"HTTP/1.1 200":
             await asyncio.sleep(0.01)
-    assert (
-        caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
-    )
+    told = caplog.records[0].getMessage()
+    assert told == "rejected a connection (1 so far): 48 connections are already open, the limit"
 
 
 async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
@@ -154,34 +161,6 @@ async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.L
             await flood()
         assert (await get(port, "/"))[0] == 200
     assert len(caplog.records) < 10
-
-
-async def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    cert, key = certificate(tmp_path)
-    offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    offered.load_cert_chain(cert, key)
-    trusted = ssl.create_default_context(cafile=cert)
-
-    async def index(port: int) -> bytes:
-        try:
-            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
-        except OSError:
-            return b""
-        writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
-        said = await reader.read()
-        writer.close()
-        return said
-
-    async with running(tls=offered) as port:
-        mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
-        assert await index(port) == b""
-        for _, writer in mute:
-            writer.close()
-        while (await index(port))[:12] != b"HTTP/1.1 200":
-            await asyncio.sleep(0.01)
-    assert (
-        caplog.records[0].getMessage() == "rejected a connection (1 so far): 48 connections are already open, the limit"
-    )
 
 
 async def test_the_page_is_told_when_it_may_only_look() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tacshade_edge.hand import FIRST_NS, GATHER_NS, QUIET_PERIOD_NS, STALLED_NS, HandAggregator
-from tacshade_edge.protocol.hand import Finger, away
+from tacshade_edge.protocol.hand import away
+from tacshade_edge.protocol.topics import Finger
 from tacshade_edge.reasons import Reason, ReasonCode
 
 NOW_NS = 10**12

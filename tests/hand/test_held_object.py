@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.hand import PATCHES_MAX, PERIOD_NS, STALE_NS, HeldObject, with_motion
-from tacshade_edge.protocol.hand import OBJECTS_MAX, Finger, HandObject, HandObjects, Motion, decode_hand, encode_hand
+from tacshade_edge.protocol.hand import encode_hand
+from tacshade_edge.protocol.topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Motion, decode_hand
 
 NOW_NS = 10**12
 CONTACT = HandObject(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tacshade_edge.hand import GATHER_NS, STALLED_NS, messages
-from tacshade_edge.protocol.hand import Finger
+from tacshade_edge.protocol.topics import Finger
 
 PERIOD_NS = 33_333_333
 

@@ -1,25 +1,32 @@
-"""What a daemon publishes of a frame gives the result that the frame itself gives."""
+"""What a daemon publishes of a frame gives the frame's own result; what no daemon publishes is no error."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
+from support.published_sensor import CRC, bump, dragged, uncertain
+from support.published_sensor import calibration as published_calibration
 
 import tacshade_edge as ts
 from tacshade_edge.daemon.observer import FrameResult
 from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
-from tacshade_edge.protocol import messages
-from tacshade_edge.types import Frame, Pose, Reconstruction
-
-pytestmark = pytest.mark.slow
+from tacshade_edge.protocol import messages, wire
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Frame, Pose, Reconstruction, Touch
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+INFO: dict[str, Any] = json.loads(
+    messages.encode_info(version="0", config_digest="0", profile="fast", calibration=published_calibration())
+)
+TOUCHED = bump(7, 1.0, 236.0, 328.0, 8)
 
 
 def info() -> bytes:
@@ -50,6 +57,7 @@ def heard(*sent: tuple[str, bytes]) -> FrameAssembler:
     return frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "cube"])
 def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     made = of(step("balanced", pressed(name, 2.0).image), 7)
@@ -77,6 +85,7 @@ def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     np.testing.assert_allclose(result.skin_mm()[result.contact][0], made.cloud.points_mm[0], atol=0.002)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_contact_and_what_follows_are_zero_on_the_same_grid() -> None:
     touched, free = step("fast", pressed("ball", 2.0).image), step("fast", unloaded())
     sent = published(of(touched, 1), of(free, 2), of(free, 3))
@@ -97,6 +106,7 @@ def test_the_end_of_a_contact_and_what_follows_are_zero_on_the_same_grid() -> No
     assert frames.passed_over == 0
 
 
+@pytest.mark.slow
 def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
     made = of(step("fast", pressed("ball", 2.0).image), 7)
     sent = published(made)
@@ -129,3 +139,94 @@ def test_no_bytes_break_it(sent: list[tuple[str, bytes]]) -> None:
     frames = heard(*sent)
     frames.take()
     assert frames.take() is None
+
+
+def faulty(info: bytes = b"") -> FrameAssembler:
+    frames = FrameAssembler()
+    frames.add("info", json.dumps(INFO).encode())
+    if info:
+        frames.add("info", info)
+    return frames
+
+
+def show(frames: FrameAssembler, result: Reconstruction, other: Reconstruction | None = None) -> None:
+    """Its frame, with shear and error of another."""
+    other = other or result
+    frames.add("height", wire.encode_height(result, calibration_crc32=CRC))
+    frames.add("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+    if other.shear_mm is not None:
+        frames.add("shear", wire.encode_shear(other, calibration_crc32=CRC))
+    if other.sigma_mm is not None:
+        frames.add("sigma", wire.encode_sigma(other, calibration_crc32=CRC))
+    frames.add("contact", messages.encode_contact(result, fps=30.0))
+
+
+@pytest.mark.parametrize("key", ["radius_px", "skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm"])
+@pytest.mark.parametrize("value", ["0", "-0.0", "1e308", "1e-300", "1" + "0" * 400])
+def test_a_geometry_that_no_sensor_has_leaves_the_last(key: str, value: str) -> None:
+    changed = {**INFO, "geometry": {**INFO["geometry"], key: "?"}}
+    frames = faulty(json.dumps(changed).replace('"?"', value).encode())
+    show(frames, TOUCHED)
+    result = frames.take()
+    assert result is not None
+    assert result.geometry == published_calibration().geometry
+
+
+@pytest.mark.parametrize(
+    "other", [bump(7, 1.0, 236.0, 328.0, 4), replace(TOUCHED, height=replace(TOUCHED.height, row0=2.0))]
+)
+def test_shear_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction) -> None:
+    for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):
+        frames = faulty()
+        show(frames, TOUCHED, made)
+        assert frames.take() is None
+        assert frames.passed_over == 1
+        show(frames, replace(TOUCHED, seq=8))
+        assert frames.take() is not None
+
+
+def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
+    frames = faulty()
+    outside = Touch({"x_mm": None}, {"x_mm": None}, Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: x_mm"))
+    touched = replace(TOUCHED, touch=outside)
+    for seq, payload, expected in (
+        (7, messages.encode_touch(touched), {"x_mm": None}),
+        (8, messages.encode_touch(touched), None),
+        (9, b'{"seq":9,"t_ns":0,"touch":{"x_mm":1e300},"touch_sigma":{"x_mm":0}}', None),
+    ):
+        frames.add("touch", payload)
+        show(frames, replace(TOUCHED, seq=seq))
+        result = frames.take()
+        assert result is not None
+        assert result.touch == result.touch_sigma == expected
+        told = ("outside the labelled range: x_mm", "touch_range") if expected else ("", "")
+        assert (result.touch_reason, result.touch_reason_code) == told
+
+
+def test_shear_without_a_height_passes_a_frame_over() -> None:
+    frames, free = faulty(), dragged(bump(7, 0.0, 236.0, 328.0, 8), 0.0, 0.0)
+    frames.add("shear", wire.encode_shear(free, calibration_crc32=CRC))
+    frames.add("contact", messages.encode_contact(free, fps=30.0))
+    assert frames.take() is None
+
+
+def test_a_height_beyond_the_skin_and_another_kind_pass_a_frame_over() -> None:
+    frames = faulty()
+    show(frames, bump(7, 25.0, 236.0, 328.0, 8))
+    assert frames.take() is None
+    frames.add("height", wire.encode_cloud(TOUCHED, calibration_crc32=CRC))
+    frames.add("cloud", wire.encode_cloud(TOUCHED, calibration_crc32=CRC))
+    frames.add("contact", messages.encode_contact(TOUCHED, fps=30.0))
+    assert frames.take() is None
+    assert frames.passed_over == 2
+
+
+def test_a_contact_and_a_state_that_are_none_are_nobodys() -> None:
+    frames = faulty()
+    for payload in (b"{}", b'{"seq":-1,"t_ns":0,"contact":1}', b'{"seq":1,"t_ns":0,"contact":1e308}', b"[" * 60_000):
+        frames.add("contact", payload)
+    frames.add("state", b"\x1b[2J")
+    assert not frames.whole
+    assert frames.state == ""
+    show(frames, TOUCHED)
+    assert np.isfinite(frames.take().volume_mm3)  # type: ignore[union-attr]

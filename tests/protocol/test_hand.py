@@ -12,18 +12,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.hand import (
-    OBJECTS_MAX,
-    HandObjects,
-    Motion,
-    Unobservable,
-    away,
-    decode_finger,
-    decode_hand,
-    encode_finger,
-    encode_hand,
-    finger_of,
-)
+from tacshade_edge.protocol.hand import away, decode_finger, encode_finger, encode_hand, finger_of
+from tacshade_edge.protocol.topics import OBJECTS_MAX, HandObjects, Motion, Unobservable, decode_hand
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.types import ObjectCloud, Reconstruction, Slip, TouchedObject

@@ -1,10 +1,9 @@
-"""What is announced, against Home Assistant's documentation, and against its own code where it is installed."""
+"""What is announced, against Home Assistant's documentation."""
 
 from __future__ import annotations
 
-import importlib
 import json
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import pytest
@@ -92,15 +91,3 @@ def test_it_is_as_the_documentation_says(topic: str) -> None:
 def test_what_is_announced_is_what_would_be_taken_back() -> None:
     assert tuple(ANNOUNCED) == discovery_topics("left-index")
     assert len({json.loads(payload)["unique_id"] for payload in ANNOUNCED.values()}) == len(ANNOUNCED)
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # its own
-@pytest.mark.parametrize("topic", discovery_topics("left-index"))
-def test_home_assistants_own_schema_takes_it(topic: str) -> None:
-    pytest.importorskip("homeassistant", reason="homeassistant is not installed: 60 packages, for this alone")
-    component: Any = importlib.import_module(f"homeassistant.components.mqtt.{topic.split('/')[1]}")
-    payload = json.loads(ANNOUNCED[topic])
-    component.DISCOVERY_SCHEMA(dict(payload))
-    # That leaves out what it does not know; this refuses it.
-    strict = getattr(component, "_PLATFORM_SCHEMA_BASE", None) or component.PLATFORM_SCHEMA_MODERN
-    strict(dict(payload))

@@ -17,7 +17,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from tacshade_edge.protocol.hand import decode_hand
+from tacshade_edge.protocol.topics import decode_hand
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, free_port
 from tools.testbed.painted_sensor import TOUCHED, painted_calibration

@@ -12,7 +12,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.publishing import Health
-from tacshade_edge.protocol import json_payload, messages, wire
+from tacshade_edge.protocol import codec, messages, wire
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject
 
@@ -154,6 +154,4 @@ def health() -> bytes:
     timings.add({"latency": 20.0, "solve": 5.0})
     told = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
-    return json_payload.encode_json(
-        {**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"}
-    )
+    return codec.encode_json({**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})

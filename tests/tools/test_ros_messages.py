@@ -71,7 +71,7 @@ def test_a_cloud() -> None:
 
 
 def touch(**values: float | None) -> TouchNumbers:
-    return TouchNumbers(7, 1, values, dict.fromkeys(values, 0.1), wall_ns=PRESS.wall_ns)
+    return TouchNumbers(seq=7, t_ns=1, touch=values, touch_sigma=dict.fromkeys(values, 0.1), wall_ns=PRESS.wall_ns)
 
 
 def test_a_wrench_is_what_was_labelled_and_is_known() -> None:

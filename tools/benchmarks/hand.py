@@ -36,7 +36,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.hand import HandObjects, decode_hand
+from tacshade_edge.protocol.topics import HandObjects, decode_hand
 from tacshade_edge.studies.tables import markdown
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
 from tools.testbed.daemon_rig import cpu_s, pss_mb

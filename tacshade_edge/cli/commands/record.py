@@ -14,8 +14,8 @@ from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor,
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
+from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
-from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import load
 

@@ -15,7 +15,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX
 from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, BrokerAddress, connect, connect_failure, make_client
 from tacshade_edge.errors import DecodeError, DeviceError
-from tacshade_edge.protocol.strict import decode_object
+from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.reasons import Reason, ReasonCode
 
 CONNECT_S = 5.0

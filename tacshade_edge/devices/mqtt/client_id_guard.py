@@ -22,8 +22,8 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.mqtt.client import Session, connect_now, publish_properties
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.protocol.messages import encode_status
-from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
 

@@ -25,6 +25,7 @@ from tacshade_edge.devices.mqtt.refusals import Refusals
 from tacshade_edge.devices.mqtt.size_limit import SizeLimit
 from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
 from tacshade_edge.protocol.requests import Request
+from tacshade_edge.protocol.topics import OF_SENSORS
 from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
@@ -34,15 +35,7 @@ _ANSWERS_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
 _NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
-CONTENT_TYPES: Final = {
-    "height": "application/vnd.tacshade.height",
-    "cloud": "application/vnd.tacshade.cloud",
-    "map/cloud": "application/vnd.tacshade.cloud",
-    "shear": "application/vnd.tacshade.shear",
-    "sigma": "application/vnd.tacshade.sigma",
-    "preview": "image/jpeg",
-    "state": "text/plain",
-}
+CONTENT_TYPES: Final = {name: topic.content_type for name, topic in OF_SENSORS.items()}
 _COUNTERS: Final = (
     *("connects", "losses", "published", "superseded", "failed", "refused"),
     *("requests", "bad_requests", "replies", "replies_dropped", "events", "events_dropped"),

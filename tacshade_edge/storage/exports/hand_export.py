@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from tacshade_edge.protocol.hand import Finger, HandObjects, Motion, encode_hand
+from tacshade_edge.protocol.hand import encode_hand
+from tacshade_edge.protocol.topics import Finger, HandObjects, Motion
 from tacshade_edge.storage.exports.files import new_file
 from tacshade_edge.version import installed_version
 

@@ -21,7 +21,7 @@ from support.browser import CHROMIUM, DRIVER, browser, errors
 
 from tacshade_edge.demo import hand as demo_hand
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.hand import decode_hand
+from tacshade_edge.protocol.topics import decode_hand
 from tacshade_edge.settings import load_hand
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import patience, wait_until

@@ -9,7 +9,7 @@ import pytest
 
 from tacshade_edge.daemon.hand import PERIOD_NS, FingerReporter, Lines
 from tacshade_edge.daemon.observer import FrameResult, SourceState
-from tacshade_edge.protocol.hand import Finger
+from tacshade_edge.protocol.topics import Finger
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
 from tacshade_edge.settings import Settings

@@ -6,7 +6,7 @@ import pytest
 
 from tacshade_edge.daemon.hand import Lines
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.hand import Finger
+from tacshade_edge.protocol.topics import Finger
 
 
 @pytest.fixture

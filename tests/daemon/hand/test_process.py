@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import pytest
 
-from tacshade_edge.protocol.hand import HandObjects, decode_hand
+from tacshade_edge.protocol.topics import HandObjects, decode_hand
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration

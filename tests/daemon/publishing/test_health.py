@@ -16,7 +16,7 @@ from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.daemon.references import References
 from tacshade_edge.daemon.robot import Robot
 from tacshade_edge.daemon.session_worker import SessionRequests
-from tacshade_edge.protocol.json_payload import encode_json
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 

@@ -26,6 +26,7 @@ from tacshade_edge.protocol.results import (
     SessionStatus,
     TouchSwitched,
 )
+from tacshade_edge.protocol.serial import commands
 from tacshade_edge.protocol.serial.commands import (
     ERROR_WORDS,
     NAMES_MAX,
@@ -41,7 +42,7 @@ from tacshade_edge.protocol.serial.commands import (
     too_slow,
 )
 from tacshade_edge.protocol.serial.framing import cobs_encode
-from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX, seal
+from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX, Line, parse_line, seal
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import QUANTITIES
 
@@ -201,3 +202,13 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     slowest = too_slow(TouchAsked(LONGEST, 1), 110)
     assert slowest is not None
     assert slowest.text.endswith("90 % of 110 baud); use fewer names or a faster line")
+
+
+def test_a_new_verb_is_one_row_and_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(commands._VERBS, "WINK", commands._Verb("N", 1, 1))
+    line = parse_line(b"#7 wink 3")
+    assert isinstance(line, Line)
+    command = commands.parse_command(line, 5)
+    assert isinstance(command, commands.Command)
+    assert (command.verb, command.args) == ("WINK", ("3",))
+    assert answer_text(7, SessionBegun("x")) == "OK 7 name=x"

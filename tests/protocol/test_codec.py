@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol import strict
+from tacshade_edge.protocol import codec
 
 HUGE = b"1" + b"0" * 400
 
@@ -18,7 +18,7 @@ HUGE = b"1" + b"0" * 400
 @pytest.mark.parametrize(
     ("payload", "found"),
     [
-        (b" " * (strict.BYTES_MAX + 1), "65537 bytes"),
+        (b" " * (codec.BYTES_MAX + 1), "65537 bytes"),
         (b'{"a":' + HUGE + b"}", "more than 64 bits"),
         (b'{"a":-' + HUGE * 12 + b"}", "expected the format"),
         (b'{"a":1e999}', "expected the format"),
@@ -30,14 +30,14 @@ HUGE = b"1" + b"0" * 400
         (b'{"' + b"x" * 5000 + b'":0}', "5000 characters"),
         (b"\xff", "expected the format"),
         (b"", "expected the format"),
-        (b'{"a":"\\ud800"}', "half of a character"),
+        (b'{"a":"\\ud800"}', "expected the format"),
         (b"\xef\xbb\xbf{}", "expected the format"),
-        (b"[]", "is an array, not an object"),
+        (b"[]", "got `array`"),
     ],
 )
 def test_what_is_out_of_bounds_is_one_line(payload: bytes, found: str) -> None:
     with pytest.raises(DecodeError, match=found) as refused:
-        strict.decode_object("health", payload)
+        codec.decode_object("health", payload)
     assert str(refused.value).startswith("health: ")
     assert str(refused.value).isprintable()
     assert len(str(refused.value)) < 400
@@ -45,7 +45,7 @@ def test_what_is_out_of_bounds_is_one_line(payload: bytes, found: str) -> None:
 
 def test_what_is_within_them_is_understood() -> None:
     value = {"a": [[[[[[0]]]]]], "b": 2**64, "c": -1.5e308, "d": "x" * 4096, "e": None}
-    assert strict.decode_object("health", json.dumps(value).encode()) == value
+    assert codec.decode_object("health", json.dumps(value).encode()) == value
 
 
 JSON = st.recursive(
@@ -57,4 +57,4 @@ JSON = st.recursive(
 @given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
 def test_any_bytes_are_an_object_or_refused(payload: bytes) -> None:
     with contextlib.suppress(DecodeError):
-        assert isinstance(strict.decode_object("x", payload), dict)
+        assert isinstance(codec.decode_object("x", payload), dict)

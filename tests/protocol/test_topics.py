@@ -1,4 +1,4 @@
-"""JSON payloads: exact keys, plain numbers."""
+"""The JSON of each topic: what a daemon fills in, what a subscriber understands of it, and what it refuses."""
 
 from __future__ import annotations
 
@@ -6,20 +6,31 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from support.published_sensor import calibration, health
 
-from tacshade_edge.protocol import json_payload, messages
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import codec, messages, topics
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
+
+INFO: dict[str, Any] = json.loads(
+    messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
+)
+TOUCHES = json.loads((Path(__file__).parent / "vectors" / "touch.json").read_text())
 
 
 def test_contact_is_flat_numbers_with_the_promised_keys(
     make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
 ) -> None:
     result = make_result(objects=two_objects, volume_mm3=np.float64(3.5))
-    assert json.loads(messages.encode_contact(result, fps=59.5)) == {
+    told = json.loads(messages.encode_contact(result, fps=59.5))
+    expected = {
         "t_ns": 1_000,
         "seq": 5,
         "contact": 1,
@@ -39,15 +50,9 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "degraded_code": "",
         "wall_ns": 2_000,
     }
-
-
-def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconstruction]) -> None:
-    decoded = json.loads(messages.encode_contact(make_result(contact=False), fps=0.0))
-    assert ",".join(decoded) == (
-        "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,"
-        "shear_x_mm,shear_y_mm,twist_deg,slip,slip_mm_s,fps,reason_code,degraded_code,wall_ns"
-    )
-    assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
+    assert list(told.items()) == list(expected.items())  # in this order
+    free = json.loads(messages.encode_contact(make_result(contact=False, volume_mm3=math.nan), fps=math.inf))
+    assert [free[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "volume_mm3")] == [0, 0.0, 0, None, None]
 
 
 def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[..., Reconstruction]) -> None:
@@ -88,10 +93,6 @@ def test_contact_has_the_codes_of_its_reasons(make_result: Callable[..., Reconst
     assert (refused["reason_code"], refused["degraded_code"]) == ("torn", "")
     doubtful = json.loads(messages.encode_contact(make_result(degraded=glare), fps=0.0))
     assert (doubtful["reason_code"], doubtful["degraded_code"]) == ("", "glare")
-
-
-def test_nan_is_null_as_json_has_none(make_result: Callable[..., Reconstruction]) -> None:
-    assert json.loads(messages.encode_contact(make_result(volume_mm3=math.nan), fps=math.inf))["volume_mm3"] is None
 
 
 def test_info_places_a_pixel_in_mm() -> None:
@@ -137,9 +138,82 @@ def test_status_and_health() -> None:
     expected = {"rate_hz": 60.0, "state": "failed", "reason": "no such device", "reason_code": "absent"}
     assert json.loads(status) == expected
     assert json.loads(messages.encode_status("idle")) == {"state": "idle", "reason": "", "reason_code": ""}
-    assert json.loads(json_payload.encode_json({"captured": np.int64(3), "p99_ms": np.float32(1.5)})) == {
+    assert json.loads(codec.encode_json({"captured": np.int64(3), "p99_ms": np.float32(1.5)})) == {
         "captured": 3,
         "p99_ms": 1.5,
     }
     with pytest.raises(TypeError):
-        json_payload.encode_json({"captured": object()})
+        codec.encode_json({"captured": object()})
+
+
+def test_what_a_daemon_tells_is_understood() -> None:
+    info = topics.decode_info(json.dumps(INFO).encode())
+    assert info.geometry is not None
+    assert info.geometry.geometry == calibration().geometry
+    assert topics.decode_health(health()).frames["captured"] == 3
+    assert topics.decode_status("status/camera", b"") == topics.Status()
+    assert [topics.decode_state(state.encode()) for state in topics.STATES] == list(topics.STATES)
+
+
+@pytest.mark.parametrize(
+    "key", ["radius_px", "skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm", "row_c", "image_width_px"]
+)
+@pytest.mark.parametrize("value", ["0", "-1e9", "1e308", "1e999", "1e-300", "1" + "0" * 400, '"x"', "[]"])
+def test_a_geometry_that_no_sensor_has_is_refused(key: str, value: str) -> None:
+    changed = json.dumps({**INFO, "geometry": {**INFO["geometry"], key: "?"}}).replace('"?"', value).encode()
+    if key == "row_c" and value in ("0", "1e-300"):
+        assert topics.decode_info(changed).geometry is not None
+        return
+    with pytest.raises(DecodeError, match=r"^info: "):
+        topics.decode_info(changed)
+
+
+@pytest.mark.parametrize("extreme", [0, 1])
+def test_rays_of_the_extremes_that_are_taken_are_numbers(extreme: int) -> None:
+    ends = {
+        "skin_radius_mm": (0.1, 1e4),
+        "camera_distance_mm": (1e-5, 1e5),
+        "visible_half_angle_deg": (1e-3, 90),
+        "radius_px": (1, 1e5),
+    }
+    for ones in range(2 ** len(ends)):
+        values = {key: pair[ones >> at & 1] for at, (key, pair) in enumerate(ends.items())}
+        geometry = {**INFO["geometry"], **values, **({"camera_distance_mm": None} if extreme else {})}
+        info = topics.decode_info(json.dumps({**INFO, "geometry": geometry}).encode())
+        assert info.geometry is not None
+        rays = disc_rays(Grid(4, 4, 0.0, 0.0, 1.0), info.geometry.geometry)
+        assert abs(rays.u).max() < 1e12
+
+
+@pytest.mark.parametrize("vector", TOUCHES, ids=lambda vector: str(vector["name"]))
+def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
+    payload = vector["payload"].encode()
+    if "error" in vector:
+        with pytest.raises(DecodeError, match=r"^touch: .*; expected the format in docs/reference/mqtt.md"):
+            topics.decode_touch(payload)
+        return
+    touch = topics.decode_touch(payload)
+    assert {key: getattr(touch, key) for key in vector["expect"]} == vector["expect"]
+
+
+@pytest.mark.parametrize("sent", [b"", b"on line", b"online\n", b"\xff", b"x" * 10_000_000])
+def test_a_state_that_is_none_is_refused_in_one_line(sent: bytes) -> None:
+    with pytest.raises(DecodeError, match="expected one of online, degraded, stopped, offline") as refused:
+        topics.decode_state(sent)
+    assert len(str(refused.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"frames": {"published": -1}},
+        {"frames": {'a"} 1\nforged{x="': 1}},
+        {"frames": {f"k{n}": 0 for n in range(65)}},
+        {"uptime_s": 1e300},
+        {"stages_ms": {"solve": {"p50": 0, "p99": None}}},
+        {"invalid_reason_code": "torn\n"},
+    ],
+)
+def test_a_health_that_no_daemon_tells_is_refused(changed: dict[str, Any]) -> None:
+    with pytest.raises(DecodeError, match=r"^health: "):
+        topics.decode_health(json.dumps({**json.loads(health()), **changed}).encode())

@@ -1,0 +1,86 @@
+"""The codec of all JSON that sensors publish: a message's type states its fields and their bounds (`msgspec.Meta`).
+
+Anyone who reaches the broker may have written a payload, so decoding limits its size, and unknown keys are ignored only
+within these limits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeVar
+
+import msgspec
+import numpy as np
+
+from ..errors import DecodeError
+from ..quoting import escaped
+
+T = TypeVar("T")
+
+BYTES_MAX: Final = 1 << 16
+"""Ten times the largest `health` of a daemon."""
+VALUES_MAX: Final = 1 << 14
+DEPTH_MAX: Final = 9
+CHARS_MAX: Final = 4096
+"""The longest text accepted; the longest that a daemon publishes is a reason of a few hundred characters."""
+_INTEGER_MAX: Final = 2**64
+_ERROR_CHARS_MAX: Final = 200
+
+
+def encode_json(value: object) -> bytes:
+    """Encode a message; NaN and infinity, which JSON lacks, become null."""
+    return msgspec.json.encode(value, enc_hook=_plain)
+
+
+def _plain(value: object) -> object:
+    """Convert a numpy number to a Python number."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} has no JSON form here")
+
+
+def decode_json(what: str, payload: bytes, kind: type[T]) -> T:
+    """Decode the payload of the topic `what` as a `kind`; unknown keys are ignored.
+
+    Raises DecodeError if the payload has more bytes, values, levels or characters than a daemon publishes, holds a
+    number that is not finite, is not JSON, or is not a `kind`.
+    """
+    if len(payload) > BYTES_MAX:
+        raise DecodeError(f"{what}: found {len(payload)} bytes, expected at most {BYTES_MAX}")
+    try:
+        value = msgspec.json.decode(payload)
+        _check(value)
+        return msgspec.convert(value, kind)
+    except (ValueError, RecursionError) as error:  # msgspec's errors are ValueErrors, as is UnicodeDecodeError
+        raise DecodeError(
+            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in docs/reference/mqtt.md"
+        ) from error
+
+
+def decode_object(what: str, payload: bytes) -> dict[str, Any]:
+    """Decode a payload as an object with any keys. Raises DecodeError as `decode_json` does."""
+    return decode_json(what, payload, dict[str, Any])
+
+
+def _check(value: Any) -> None:
+    """Raise ValueError if a value exceeds the size limits."""
+    level, count = [value], 0
+    for _ in range(DEPTH_MAX + 1):
+        below: list[Any] = []
+        for one in level:
+            match one:
+                case dict():
+                    below += one.keys()
+                    below += one.values()
+                case list():
+                    below += one
+                case str() if len(one) > CHARS_MAX:
+                    raise ValueError(f"found a text of {len(one)} characters, expected at most {CHARS_MAX}")
+                case int() if abs(one) > _INTEGER_MAX:
+                    raise ValueError("found an integer of more than 64 bits")
+        count += len(below)
+        if count > VALUES_MAX:
+            raise ValueError(f"found more than {VALUES_MAX} values")
+        if not below:
+            return
+        level = below
+    raise ValueError(f"found more than {DEPTH_MAX} levels")
