@@ -44,10 +44,7 @@ set_tcp_nodelay true
 def broker_command(folder: Path, port: int) -> list[str]:
     """Write a broker's settings into `folder` and return the command that serves MQTT 5 on this loopback port.
 
-    Raises
-    ------
-    DeviceError
-        Neither mosquitto nor the extra is installed.
+    Raises DeviceError if neither mosquitto nor the extra is installed.
     """
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
@@ -58,9 +55,8 @@ def broker_command(folder: Path, port: int) -> list[str]:
     if mosquitto:
         return [mosquitto, "-c", str(settings)]
     if importlib.util.find_spec("iotcore") is None:
-        raise DeviceError(
-            f"demo: found no broker, expected mosquitto or the `demo` extra's broker: {how_to_install('demo')}"
-        )
+        expected = f"expected mosquitto or the `demo` extra's broker: {how_to_install('demo')}"
+        raise DeviceError(f"demo: found no broker, {expected}")
     return [sys.executable, "-m", __name__, str(settings)]
 
 

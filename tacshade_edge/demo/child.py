@@ -28,18 +28,10 @@ def free_port() -> int:
 
 
 class Child:
-    """A started process.
+    """A started process, whose `name` is in messages and that of its log file in `folder`.
 
     It runs in its own session, so that Ctrl-C reaches only the demo, which then stops its processes one by one. On
     Linux, the kernel sends it SIGTERM if the demo dies in any other way.
-
-    Parameters
-    ----------
-    name : str
-        Name in messages and of the log file.
-    command : sequence of str
-    folder : Path
-        Folder for the log file.
     """
 
     def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
@@ -78,13 +70,7 @@ class Child:
 
 
 def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.0.1") -> None:
-    """Wait until a process accepts connections on this port of `host`.
-
-    Raises
-    ------
-    DeviceError
-        The child ended, or nothing listened within `timeout_s`.
-    """
+    """Wait until a process accepts connections on this port. Raises DeviceError if it ends, or after `timeout_s`."""
     deadline_s = time.monotonic() + timeout_s
     while True:
         child.check()

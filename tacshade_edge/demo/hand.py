@@ -31,25 +31,14 @@ BOTTLE: Final = lathed("bottle", ((-80.0, 28.0), (16.0, 28.0), (42.0, 12.0), (96
 
 @dataclass(frozen=True, slots=True)
 class _Hold:
-    """Where a finger holds the bottle at rest: the point that its tip touches, in the hand's frame at y = 0.
-
-    Attributes
-    ----------
-    x_mm, z_mm : float
-    from_x, from_z : float
-        Direction from the point to the finger.
-    depth_mm : float
-        How far the undeformed tip would reach past the point.
-    yaw_deg : float
-        Rotation of the sensor about its own axis.
-    """
+    """Where a finger holds the bottle at rest: the point that its tip touches, in the hand's frame at y = 0."""
 
     x_mm: float
     z_mm: float
-    from_x: float
+    from_x: float  # direction from the point to the finger
     from_z: float
-    depth_mm: float
-    yaw_deg: float
+    depth_mm: float  # how far the undeformed tip would reach past the point
+    yaw_deg: float  # rotation of the sensor about its own axis
 
 
 FINGERS: Final = {
@@ -85,10 +74,9 @@ def place_of(name: str) -> Rigid:
     hold = FINGERS[name]
     away = np.array((hold.from_x, 0.0, hold.from_z))
     away /= np.linalg.norm(away)
+    yaw = turn((0.0, 0.0, float(np.radians(hold.yaw_deg))))
     # This turns the sensor's z axis, (0, 0, 1), to point inwards.
-    inwards = turn((0.0, float(np.arctan2(-away[0], -away[2])), 0.0)) @ turn(
-        (0.0, 0.0, float(np.radians(hold.yaw_deg)))
-    )
+    inwards = turn((0.0, float(np.arctan2(-away[0], -away[2])), 0.0)) @ yaw
     middle = np.array((hold.x_mm, 0.0, hold.z_mm)) + (_MODEL.skin_radius_mm - hold.depth_mm) * away
     return Rigid(inwards.rotation, middle)
 
@@ -111,15 +99,7 @@ _GRASPED: Final = round(script().times_s[2] / STEP_S) + 1  # steps until they ho
 
 
 def write(folder: Path, port: int) -> Path:
-    """Draw what the untouched fingers see, write the hand's settings, and return the path of the settings.
-
-    Parameters
-    ----------
-    folder : Path
-        The demo's folder, which contains the calibration.
-    port : int
-        The broker's port.
-    """
+    """Draw what the untouched fingers see into the demo's folder, and return the path of the hand's settings."""
     text = _SETTINGS.format(hand_id=HAND_ID, port=port)
     sensor = SimulatedSensor(_MODEL)
     for name in FINGERS:
@@ -139,15 +119,13 @@ def play(folder: Path) -> Generator[None, None, None]:
     All fingers change their pictures together because they hold the same object. They grasp it as soon as the grasp is
     drawn, and hold it while the rest of the round is drawn on all cores.
     """
-    drawn = list[list[Path]]()
+    drawn, whole, shown = list[list[Path]](), list[list[Path]](), dict[str, Path]()
     for name in FINGERS:
         drawn.append(_draw((folder, name, _GRASPED)))
         yield
-    shown = dict[str, Path]()
     for step in range(_GRASPED):
         _show(folder, drawn, step, shown)
         yield
-    whole = list[list[Path]]()
     with workers() as pool:
         for pictures in pool.map(_draw, [(folder, name, _STEPS) for name in FINGERS]):
             whole.append(pictures)

@@ -16,22 +16,10 @@ def make_calibration() -> Calibration:
     """Calibrate the demo's simulated sensor; this takes one or two seconds."""
     model = SensorModel()
     simulated = SimulatedSensor(model)
-    sensor = Sensor(
-        skin_radius_mm=model.skin_radius_mm,
-        camera_distance_mm=model.camera_distance_mm,
-        visible_half_angle_deg=model.visible_half_angle_deg,
-        polarity="bright",
-    )
+    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     references = [simulated.frame(noise_seed=seed).image for seed in range(REFERENCES)]
-    presses = [
-        KnownPress(
-            name=f"press {number}",
-            image=simulated.frame([press], noise_seed=REFERENCES + number).image,
-            radius_mm=radius_mm,
-            depth_mm=press.depth_mm,
-            x_mm=press.x_mm,
-            y_mm=press.y_mm,
-        )
-        for number, (press, radius_mm) in enumerate(ball_presses(model, PRESSES))
-    ]
+    presses = []
+    for k, (press, radius_mm) in enumerate(ball_presses(model, PRESSES)):
+        image = simulated.frame([press], noise_seed=REFERENCES + k).image
+        presses.append(KnownPress(f"press {k}", image, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
     return calibrate(sensor, references, presses).calibration

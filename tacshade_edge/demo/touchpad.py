@@ -44,21 +44,9 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[None, None, None]:
-    """Draw the presses, start a daemon that reads them, and have it stitch; each `next` does a little more.
+    """Draw the presses into the demo's folder, start a daemon that reads them, and have it stitch.
 
-    Parameters
-    ----------
-    folder : Path
-        The demo's folder, which contains the calibration.
-    port : int
-        The broker's port.
-    start : callable
-        ``start(settings)`` starts the daemon.
-
-    Raises
-    ------
-    DeviceError
-        The broker is gone.
+    Each `next` does a little more; it raises DeviceError if the broker is gone.
     """
     yield from _presses(folder / "pad")
     settings = folder / f"{SENSOR_ID}.yaml"

@@ -10,18 +10,10 @@ State = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One result of a check.
+    """One result of a check, of which several may share a name.
 
-    Attributes
-    ----------
-    check : str
-        Name of the check; several findings may share one.
-    state : str
-        ``fault``: the daemon cannot work like this. ``warning``: it works, but worse than it could.
-    found : str
-        One line for a person.
-    fix : str
-        What to do, with the exact command if there is one; empty if `state` is ``ok``.
+    With a ``fault`` the daemon cannot work; with a ``warning`` it works, but worse than it could. `fix` says what to
+    do, with the exact command if there is one; it is empty if all is well.
     """
 
     check: str

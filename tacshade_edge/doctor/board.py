@@ -35,15 +35,9 @@ _TEXT_MAX = 80
 
 def check_board(machine: Machine) -> tuple[Finding, ...]:
     """Findings on what a Raspberry Pi's firmware reports and on the kernel's frequency scaling."""
-    return (*_power(machine), *_governor(machine))
-
-
-def _power(machine: Machine) -> tuple[Finding, ...]:
-    text = machine.read(THROTTLED)
-    if not text:
-        return ()
-    flags = int(text, 16)
     found = []
+    text = machine.read(THROTTLED)
+    flags = int(text, 16) if text else 0
     for bits, what, fix in (
         (_UNDER_VOLTAGE, "under-voltage", "use the board's own power supply and a short thick cable"),
         (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it (heat sink, fan, open case) and check its power supply"),
@@ -52,21 +46,19 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
         elif flags >> 16 & bits:
             found.append(warning("board", f"{what} at some time since boot, but not now", fix))
-    return tuple(found) or (ok("board", "power and temperature have been fine since boot"),)
-
-
-def _governor(machine: Machine) -> tuple[Finding, ...]:
-    governor = machine.read(f"{_CPU}/scaling_governor")
-    if governor != "powersave" or machine.read(f"{_CPU}/scaling_driver") in _OWN_SCALING:
-        return ()
-    fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
-    return (warning("board", "the powersave governor keeps the processor at its lowest speed", fix),)
+    if text and not found:
+        found.append(ok("board", "power and temperature have been fine since boot"))
+    scaled_by, governor = (machine.read(f"{_CPU}/scaling_{name}") for name in ("driver", "governor"))
+    if governor == "powersave" and scaled_by not in _OWN_SCALING:
+        fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
+        found.append(warning("board", "the powersave governor keeps the processor at its lowest speed", fix))
+    return tuple(found)
 
 
 def check_clock() -> tuple[Finding, ...]:
     """Check this machine's clocks."""
-    installed_s = Path(__file__).stat().st_mtime
-    return judge_clock(time.time(), installed_s, synchronised(), time.get_clock_info("monotonic").resolution)
+    resolution_s = time.get_clock_info("monotonic").resolution
+    return judge_clock(time.time(), Path(__file__).stat().st_mtime, synchronised(), resolution_s)
 
 
 def synchronised() -> bool | None:
@@ -82,14 +74,11 @@ def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolutio
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
         found = f"the date is {today}, but this program was installed on {since}, so times and file names will be wrong"
-        wall = fault(
-            "clock", found, f"{keep}; a board without a battery-backed clock loses the time when it is switched off"
-        )
+        keep += "; a board without a battery-backed clock loses the time when it is switched off"
+        wall = fault("clock", found, keep)
     elif synced is False:
-        found = (
-            f"{today}, not synchronised: times in messages and recordings may be wrong; measurements are not affected"
-        )
-        wall = warning("clock", found, keep)
+        wrong = "times in messages and recordings may be wrong; measurements are not affected"
+        wall = warning("clock", f"{today}, not synchronised: {wrong}", keep)
     else:
         known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
         wall = ok("clock", f"{today}, {known}")
@@ -110,10 +99,7 @@ def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
 def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
     """Findings on what statvfs(2) reports."""
     if read_only:
-        fix = (
-            "remount the file system read-write; "
-            "if the kernel made it read-only, the card may be failing (see sudo dmesg)"
-        )
+        fix = "remount it read-write; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
         return (fault("disk", f"{folder} is on a read-only file system", fix),)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
@@ -141,12 +127,13 @@ def board_facts(machine: Machine) -> dict[str, str]:
     part = _field(cpuinfo, "CPU part")
     cores = len(os.sched_getaffinity(0))
     mhz = machine.read(f"{_CPU}/cpuinfo_max_freq")
+    memory_kb = _field(machine.read("/proc/meminfo"), "MemTotal").removesuffix(" kB")
     facts = {
         "board": machine.read(MODEL).rstrip("\0") or f"{platform.machine()} machine",
         "processor": _field(cpuinfo, "model name") or _ARM_PARTS.get(part, part and f"Arm, part {part}"),
         "cores": f"{cores}, up to {int(mhz) // 1000} MHz" if mhz.isdecimal() else str(cores),
         "governor": machine.read(f"{_CPU}/scaling_governor"),
-        "memory": _memory(machine.read("/proc/meminfo")),
+        "memory": f"{int(memory_kb) / 2**20:.1f} GiB" if memory_kb else "",
         "system": _field(release, "PRETTY_NAME", "=").strip('"'),
         "kernel": f"{platform.release()}, {platform.machine()}",
         "Python": platform.python_version(),
@@ -157,8 +144,10 @@ def board_facts(machine: Machine) -> dict[str, str]:
 
 def heat(machine: Machine) -> str:
     """Return the processor's temperature and any throttling since boot; empty if neither can be read."""
-    zones = [zone for zone in machine.names("/sys/class/thermal", "thermal_zone*") if _is_processor(machine, zone.name)]
-    read = [machine.read(f"/sys/class/thermal/{zone.name}/temp") for zone in zones]
+    zones = [f"/sys/class/thermal/{zone.name}" for zone in machine.names("/sys/class/thermal", "thermal_zone*")]
+    read = [
+        machine.read(f"{zone}/temp") for zone in zones if re.search("cpu|soc|x86_pkg", machine.read(f"{zone}/type"))
+    ]
     degrees = [int(text) / 1000 for text in read if re.fullmatch(r"\d+", text)]
     said = [f"{max(degrees):.0f} °C"] if degrees else []
     if flags := machine.read(THROTTLED):
@@ -167,16 +156,7 @@ def heat(machine: Machine) -> str:
     return ", ".join(said)
 
 
-def _is_processor(machine: Machine, zone: str) -> bool:
-    return re.search(r"cpu|soc|x86_pkg", machine.read(f"/sys/class/thermal/{zone}/type")) is not None
-
-
 def _field(text: str, name: str, sign: str = ":") -> str:
     """Return the value of the first line ``name : value``; empty if there is none."""
     found = re.search(rf"^{re.escape(name)}\s*{sign}\s*(.+)$", text, re.MULTILINE)
     return found[1].strip() if found else ""
-
-
-def _memory(meminfo: str) -> str:
-    found = re.search(r"^MemTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
-    return f"{int(found[1]) / 2**20:.1f} GiB" if found else ""

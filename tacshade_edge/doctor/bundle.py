@@ -38,38 +38,15 @@ _IN_URL = re.compile(r"(?<=://)[^/\s@\"']+(?=@)")
 
 @dataclass(slots=True)
 class Seen:
-    """Data that the checks collect while they run.
-
-    Attributes
-    ----------
-    document : Document or None
-    published : dict
-        From topic below the daemon's base topic to the payload that the broker holds.
-    image : uint8 (H, W) or (H, W, 3) or None
-        The latest frame.
-    """
+    """Data that the checks collect while they run."""
 
     document: Document | None = None
-    published: dict[str, bytes] = field(default_factory=dict)
-    image: U8 | None = None
+    published: dict[str, bytes] = field(default_factory=dict)  # from topic below the daemon's base topic to payload
+    image: U8 | None = None  # the latest frame, (H, W) or (H, W, 3)
 
 
 def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
-    """Write the zip file atomically.
-
-    Parameters
-    ----------
-    path : Path
-    findings : sequence of Finding
-    seen : Seen
-    with_frame : bool
-        Whether to include the latest frame; a camera's picture may show something private.
-
-    Raises
-    ------
-    DeviceError
-        The file cannot be written.
-    """
+    """Write the zip file whole, with the latest frame, which may be private, only if asked. Raises DeviceError."""
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
         "versions.json": _json(versions()),
@@ -124,13 +101,8 @@ def _version(name: str) -> str | None:
 
 
 def _without_user(settings: Settings) -> Settings:
-    mqtt = settings.mqtt
-    hidden = msgspec.structs.replace(
-        mqtt,
-        username=mqtt.username and _LEFT_OUT,
-        password_file=mqtt.password_file and _LEFT_OUT,
-    )
-    return msgspec.structs.replace(settings, mqtt=hidden)
+    hidden = {name: getattr(settings.mqtt, name) and _LEFT_OUT for name in ("username", "password_file")}
+    return msgspec.structs.replace(settings, mqtt=msgspec.structs.replace(settings.mqtt, **hidden))
 
 
 def _secrets(document: Document) -> tuple[str, ...]:

@@ -44,23 +44,18 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
             fix = f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = (
-            f"{document.where('calibration')}: found no file {path}, so the daemon publishes only the camera's picture"
-        )
+        found = f"found no file {path}, so the daemon publishes only the camera's picture"
+        found = f"{document.where('calibration')}: {found}"
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
-        fix = (
-            "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/how-to/calibration.md)"
-        )
+        fix = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv"
+        fix += " (docs/how-to/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
-        found = (
-            f"{found}; the networks for {', '.join(renew)} have changed since the fit, "
-            "so the shipped networks are in use"
-        )
+        found += f"; the networks for {', '.join(renew)} have changed since the fit, so the shipped networks are in use"
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
@@ -70,30 +65,23 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
 
 
 def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> tuple[Finding, ...]:
-    """Compare images with the calibration's reference.
+    """Compare at least one image, (H, W) or (H, W, 3), with the calibration's reference.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    images : sequence of uint8 (H, W) or (H, W, 3)
-        At least one.
-    live : bool
-        Whether the images are from a camera, so nothing should touch the skin; files and simulations show presses.
+    `live` images are a camera's, so nothing should touch the skin; files and simulations show presses.
     """
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
         return (fault("sensor", f"frames are unusable: {result.reason}", _fix(result.reason)),)
-    found_drift = _drift(calibration, images)
+    old = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    found_drift = registration.drift(old, pattern.mean_image([to_grey(image) for image in images]))
     place = _check_place(calibration, found_drift)
     if not live:
         found = f"a contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
         return (*place, ok("sensor", f"the image matches the calibration and shows {found}"))
     if result.contact:
-        found = (
-            f"the skin seems to be pressed {result.depth_max_mm:.1f} mm deep; "
-            "if nothing is touching the skin, the skin has changed"
-        )
+        found = f"the skin seems to be pressed {result.depth_max_mm:.1f} mm deep"
+        found += "; if nothing is touching the skin, the skin has changed"
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
@@ -102,11 +90,6 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     if change := registration.light_drift_reason(found_drift):
         return (*place, warning("sensor", f"{change} since the calibration", _AGED))
     return (*place, _check_noise(calibration, images))
-
-
-def _drift(calibration: Calibration, images: Sequence[U8]) -> registration.Drift:
-    old = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
-    return registration.drift(old, pattern.mean_image([to_grey(image) for image in images]))
 
 
 def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[Finding, ...]:
@@ -131,10 +114,8 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
         fix = "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
         return warning("sensor", noise, fix)
-    return ok(
-        "sensor",
-        f"the image matches the calibration and shows no contact, {noise if len(images) >= 3 else 'one image'}",
-    )
+    noise = noise if len(images) >= 3 else "one image"
+    return ok("sensor", f"the image matches the calibration and shows no contact, {noise}")
 
 
 def _fix(reason: Reason) -> str:

@@ -63,11 +63,8 @@ def list_cameras(machine: Machine) -> Finding:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
         return warning("camera", "found a CSI receiver but no USB camera", CSI_FIX)
-    return warning(
-        "camera",
-        "found no camera on this machine",
-        "plug in a camera; lsusb lists every USB camera that the machine detects",
-    )
+    fix = "plug in a camera; lsusb lists every USB camera that the machine detects"
+    return warning("camera", "found no camera on this machine", fix)
 
 
 def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
@@ -77,11 +74,8 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     if not path.exists():
         return (fault("camera", f"{device}: no such device", _choose(machine)),)
     if is_csi(device, machine):
-        return (
-            fault(
-                "camera", f"{device}: this node belongs to the Raspberry Pi's own {card_name(device, machine)}", CSI_FIX
-            ),
-        )
+        found = f"{device}: this node belongs to the Raspberry Pi's own {card_name(device, machine)}"
+        return (fault("camera", found, CSI_FIX),)
     if not may_use(path) and not path.is_dir():
         return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
     try:
@@ -137,13 +131,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
 def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:
     """Judge what a camera delivered, or why it delivered nothing.
 
-    Parameters
-    ----------
-    source : V4l2 or Rpicam
-    captured : Captured
-    machine : Machine
-    daemon_state : str
-        The state that the running daemon publishes; empty if none runs here.
+    `daemon_state` is the state that the running daemon publishes; empty if none runs here.
     """
     if captured.error and (busy := _busy(source, captured.error, machine, daemon_state)):
         return (busy,)
@@ -212,11 +200,11 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
     lost = f", {captured.dropped} lost" if captured.dropped else ""
     found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} requested{lost}"
     if captured.fps < _RATE_PART * set_fps:
-        fix = (
-            "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
-            if check == "camera frames"
-            else "lower source.fps, or stop whatever else is keeping this machine busy"
-        )
+        fix = "lower source.fps, or stop whatever else is keeping this machine busy"
+        if check == "camera frames":
+            fix = (
+                "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
+            )
         return warning(check, found, fix)
     if captured.dropped > _LOST_PART * len(captured.t_ns) and check == "camera frames":
         return warning(check, found, "use fourcc MJPG, a separate USB port or a shorter cable")
@@ -236,14 +224,11 @@ def _check_stamps(captured: Captured) -> Finding:
     return ok("camera time", found)
 
 
-_OTHER_LOCKS = tuple((name, name.replace("_", " ")) for name in AUTOMATICS)
-
-
 def _check_locks(captured: Captured) -> list[Finding]:
     findings = []
-    for key, label in (("exposure", "exposure"), ("white_balance", "white balance"), *_OTHER_LOCKS):
-        lock = captured.described.get(f"{key}_lock")
-        if (key, label) in _OTHER_LOCKS and lock in (None, Lock.NO_CONTROL):
+    for key in ("exposure", "white_balance", *AUTOMATICS):
+        lock, label = captured.described.get(f"{key}_lock"), key.replace("_", " ")
+        if key in AUTOMATICS and lock in (None, Lock.NO_CONTROL):
             continue
         found = f"{label}: {captured.described.get(key) or lock or 'not known'}"
         if lock == Lock.NO_CONTROL:
@@ -261,9 +246,8 @@ def _choose(machine: Machine) -> str:
     cameras = found_cameras(machine)
     if cameras:
         return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
-    return (
-        CSI_FIX if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
-    )
+    none = "plug a camera in (lsusb lists it if USB sees it); doctor found none"
+    return CSI_FIX if has_csi_receiver(machine) else none
 
 
 def _labelled(name: str, machine: Machine) -> str:
@@ -330,28 +314,14 @@ def _nodes(machine: Machine) -> list[Path]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Captured:
-    """Frames and facts from a source.
+    """Frames and facts from a source; all times are of CLOCK_MONOTONIC."""
 
-    Attributes
-    ----------
-    images : tuple of uint8 (H, W) or (H, W, 3)
-        At most the last ten.
-    t_ns, arrived_ns : tuple of int
-        CLOCK_MONOTONIC when each frame was taken, as the source reports, and when it was read.
-    dropped : int
-        Dropped frames as the source counts them.
-    described : dict
-        The negotiated mode, as in ``status/camera``.
-    error : Reason or None
-        Why the source did not open or failed; None if neither happened.
-    """
-
-    images: tuple[U8, ...] = ()
-    t_ns: tuple[int, ...] = ()
-    arrived_ns: tuple[int, ...] = ()
-    dropped: int = 0
-    described: dict[str, str | int | float] = field(default_factory=dict)
-    error: Reason | None = None
+    images: tuple[U8, ...] = ()  # at most the last ten, (H, W) or (H, W, 3)
+    t_ns: tuple[int, ...] = ()  # when each frame was taken, as the source reports
+    arrived_ns: tuple[int, ...] = ()  # when each was read
+    dropped: int = 0  # as the source counts
+    described: dict[str, str | int | float] = field(default_factory=dict)  # the mode, as in `status/camera`
+    error: Reason | None = None  # why the source did not open or failed
 
     @property
     def fps(self) -> float:
@@ -363,10 +333,8 @@ class Captured:
 def capture(source: FrameSource) -> Captured:
     """Open a source, read 30 frames or as many as come within 3 s, and close it."""
     images: deque[U8] = deque(maxlen=_IMAGES_KEPT)
-    t_ns: list[int] = []
-    arrived_ns: list[int] = []
-    described: dict[str, str | int | float] = {}
-    error: Reason | None = None
+    t_ns, arrived_ns = list[int](), list[int]()
+    described, error = dict[str, str | int | float](), None
     try:
         source.open()
         deadline_s = time.monotonic() + LIMIT_S

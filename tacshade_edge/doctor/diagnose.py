@@ -150,15 +150,9 @@ def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
-    """Read the settings, those of one sensor if the file has several.
+    """Read the settings, those of one sensor if the file has several; None if they are unusable.
 
-    Returns
-    -------
-    finding : Finding
-    document : Document or None
-        None if the settings are unusable.
-    broker : bool
-        Whether the broker's settings are usable, including its password and certificate files.
+    The last value is whether the broker's settings are usable, including its password and certificate files.
     """
     try:
         document = load(config, sensor_id)

@@ -36,36 +36,27 @@ def check_serial(machine: Machine, device: str | None = "") -> tuple[Finding, ..
 
     `device` is the robot's port in the settings, "" if there are no settings, None if the settings have no robot.
     """
-    if device is None:
-        return tuple(_unused(port, machine) for port in _ports(machine)) or (_no_port(),)
-    found = _check_ports(machine)
-    if not device.startswith("/dev/") or machine.at(device).exists():
-        return found
+    listed = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
+    found: list[Finding] = []
+    for port in listed:
+        if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART:
+            found += [_unused(port, machine)] if device is None else _check_port(port, machine)
+    found = found or [ok("serial", "found no serial port; only a robot's poses need one")]
+    if device is None or not device.startswith("/dev/") or machine.at(device).exists():
+        return tuple(found)
     fix = "plug the robot in, and check which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
     return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
-
-
-def _ports(machine: Machine) -> list[str]:
-    ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
-    return [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
-
-
-def _no_port() -> Finding:
-    return ok("serial", "found no serial port; only a robot's poses need one")
 
 
 def _unused(port: str, machine: Machine) -> Finding:
     return ok("serial", f"{_label(port, machine)}: not checked, because the settings name no robot (serial: null)")
 
 
-def _check_ports(machine: Machine) -> tuple[Finding, ...]:
-    return tuple(finding for port in _ports(machine) for finding in _check_port(port, machine)) or (_no_port(),)
-
-
 def _label(port: str, machine: Machine) -> str:
-    device = f"/dev/{port}"
-    names = _stable_names(device, machine)
-    return f"{device}, best named {names[0]}" if names else device
+    target = os.path.realpath(machine.at(f"/dev/{port}"))
+    paths = [path for folder in ("by-id", "by-path") for path in machine.names(f"/dev/serial/{folder}")]
+    names = [machine.name_of(path) for path in paths if os.path.realpath(path) == target]
+    return f"/dev/{port}, best named {names[0]}" if names else f"/dev/{port}"
 
 
 def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
@@ -82,18 +73,12 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
             f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi, also turn off the login shell in "
             "sudo raspi-config (Interface Options, Serial Port) and reboot. If no robot uses this port, change nothing"
         )
-        wrong.append(
-            warning("serial", f"{label}: the system's console uses this port and would send text to a robot", fix)
-        )
-    wrong += [
-        warning(
-            "serial",
-            f"{label}: in use by {process}",
-            f"if a robot uses this port, end that program: kill {process.pid}",
-        )
-        for process in machine.holders(device)
-        if process != machine.daemon() and not any(word.endswith("getty") for word in process.words[:1])
-    ]
+        found = f"{label}: the system's console uses this port and would send text to a robot"
+        wrong.append(warning("serial", found, fix))
+    for process in machine.holders(device):
+        if process != machine.daemon() and not any(word.endswith("getty") for word in process.words[:1]):
+            fix = f"if a robot uses this port, end that program: kill {process.pid}"
+            wrong.append(warning("serial", f"{label}: in use by {process}", fix))
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
         fix = (
@@ -102,13 +87,6 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
         )
         wrong.append(warning("serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix))
     return tuple(wrong) or (ok("serial", f"{label}: the port is free to use"),)
-
-
-def _stable_names(device: str, machine: Machine) -> list[str]:
-    target = os.path.realpath(machine.at(device))
-    folders = ("/dev/serial/by-id", "/dev/serial/by-path")
-    paths = [path for folder in folders for path in machine.names(folder)]
-    return [machine.name_of(path) for path in paths if os.path.realpath(path) == target]
 
 
 def _is_console(port: str, machine: Machine) -> bool:
@@ -125,17 +103,10 @@ def _is_console(port: str, machine: Machine) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A controller's port with all hubs behind it, which cameras share.
-
-    Attributes
-    ----------
-    name : str
-    speed_mbit : int
-        Speed of the camera's own connection, Mbit/s.
-    """
+    """A controller's port with all hubs behind it, which cameras share."""
 
     name: str
-    speed_mbit: int
+    speed_mbit: int  # of the camera's own connection, Mbit/s
 
     @property
     def most_bytes_s(self) -> float:
@@ -168,7 +139,7 @@ def port_of(device: str, machine: Machine) -> Port | None:
     above = Path(os.path.realpath(machine.at(f"/sys/class/video4linux/{node}/device")))
     for folder in (above, *above.parents):
         found = re.fullmatch(r"(\d+)-(\d+)[\d.]*", folder.name)
-        speed = _text(folder / "speed")
+        speed = machine.read(machine.name_of(folder / "speed"))
         if found and speed:
             bus, port = found.groups()
             root = next((part for part in folder.parents if part.name == f"usb{bus}"), folder)
@@ -183,7 +154,7 @@ def judge_usb(port: Port, cameras: Sequence[V4l2]) -> Finding:
     """Judge whether the cameras fit through the port; if not, the finding's fix states what would."""
     each = [bytes_s(camera) for camera in cameras]
     load = f"about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
-    formats = ", ".join(dict.fromkeys(_format(camera) for camera in cameras))
+    formats = ", ".join(dict.fromkeys(f"{c.fourcc} {c.width_px}x{c.height_px} at {c.fps}/s" for c in cameras))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
     found = f"{port}: {count} with {formats}: {load}"
     if fits(port, cameras):
@@ -213,14 +184,11 @@ def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
         return [msgspec.structs.replace(camera, **values) for camera in cameras]
 
     width, height = _SMALL_PX
+    small = {"width_px": width, "height_px": height}
     tries = {
         "source.fourcc: MJPG": changed(fourcc="MJPG"),
-        f"source.width_px: {width}, height_px: {height}, and calibrate at that size": changed(
-            width_px=width, height_px=height
-        ),
-        f"fourcc: MJPG with {width}x{height}, and calibrate at that size": changed(
-            fourcc="MJPG", width_px=width, height_px=height
-        ),
+        f"source.width_px: {width}, height_px: {height}, and calibrate at that size": changed(**small),
+        f"fourcc: MJPG with {width}x{height}, and calibrate at that size": changed(fourcc="MJPG", **small),
     }
     fixes = [
         f"set {words} ({sum(map(bytes_s, other)) / _MB:.0f} MB/s)"
@@ -231,14 +199,3 @@ def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
     fps = math.floor(scale * max(camera.fps for camera in cameras))
     fixes = fixes[:2] + [f"set source.fps to at most {fps}"] * (fps >= 1)
     return [*fixes, "plug some into ports of another controller"] if len(cameras) > 1 else fixes
-
-
-def _format(camera: V4l2) -> str:
-    return f"{camera.fourcc} {camera.width_px}x{camera.height_px} at {camera.fps}/s"
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text().strip()
-    except OSError:
-        return ""

@@ -1,8 +1,11 @@
-"""docs/reference/client.md: its example runs, and every name in it is public."""
+"""The examples of docs/reference/client.md and docs/how-to/listen.md run, and the names are public."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -12,29 +15,34 @@ from support.published_sensor import CRC, bump, calibration
 
 from tacshade_edge.protocol import messages, wire
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience
+from tools.testbed.patience import patience, wait_until
 
-TEXT = (Path(__file__).parents[2] / "docs/reference/client.md").read_text()
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs/reference/client.md").read_text()
+LISTEN = (ROOT / "docs/how-to/listen.md").read_text()
+HEIGHT = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 
 
-@pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def code_of(text: str) -> str:
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    return str(code)
+
+
 def test_its_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
     info = messages.encode_info(version="1", config_digest="0", profile="fast", calibration=calibration())
-    height = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
     ended = threading.Event()
     with Broker(tmp_path) as broker, Subscriber(broker.port, "none") as sender:
 
         def publish() -> None:
             while not ended.wait(0.05):
-                sender.publish("tacshade/left-index/height", height)
+                sender.publish("tacshade/left-index/height", HEIGHT)
 
         sender.publish("tacshade/left-index/info", info, retain=True)
         publisher = threading.Thread(target=publish)
         publisher.start()
         try:
-            exec(code.replace("localhost:1883", f"localhost:{broker.port}"), {})
+            exec(code_of(TEXT).replace("localhost:1883", f"localhost:{broker.port}"), {})
         finally:
             ended.set()
             publisher.join(patience(10))
@@ -46,3 +54,23 @@ def test_every_name_is_public() -> None:
     named = set(re.findall(r"`(decode\w*|[A-Z][a-z]+[A-Z]?\w*)`", rows))
     assert {"decode", "HeightMessage", "StitchedMap"} <= named <= set(tacshade_client.__all__)
     assert all(hasattr(tacshade_client, name) for name in tacshade_client.__all__)
+
+
+def test_the_listener_prints_each_height_map(tmp_path: Path) -> None:
+    (tmp_path / "listen.py").write_text(code_of(LISTEN))
+    printed = tmp_path / "printed"
+    with Broker(tmp_path) as broker, Subscriber(broker.port, "none") as publisher, printed.open("w") as out:
+        command = [sys.executable, str(tmp_path / "listen.py"), f"127.0.0.1:{broker.port}", "left-index"]
+        listener = subprocess.Popen(command, stdout=out, env=os.environ | {"PYTHONPATH": str(ROOT / "client")})
+
+        def has_printed() -> bool:
+            assert listener.poll() is None, "the listener ended"
+            publisher.publish("tacshade/left-index/height", HEIGHT)
+            return "\n" in printed.read_text()
+
+        try:
+            wait_until(has_printed, 20, "the listener prints a line")
+        finally:
+            listener.terminate()
+            listener.wait(patience(10))
+    assert re.fullmatch(r"left-index: deepest [12]\.\d\d mm", printed.read_text().splitlines()[0])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from tacshade_edge.cli.shared.options import add_option, add_profile, tell
 from tacshade_edge.core.profiles import PROFILES
@@ -14,19 +12,21 @@ from tacshade_edge.daemon.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.exports.files import Export
+from tacshade_edge.storage.exports.files import CsvExport, Export, PlyExport
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.types import Calibration
 
 SENSOR_ID = "replay"
+SUFFIXES = {"mcap": ".mcap", "csv": ".csv", "ply": "-ply", "lerobot": "-lerobot"}
+"""For each format, what follows the recording's name if --out is missing."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     text = "output format; mcap and lerobot each need the extra of the same name"
-    parser.add_argument("--to", choices=tuple(FORMATS), required=True, help=text)
+    parser.add_argument("--to", choices=tuple(SUFFIXES), required=True, help=text)
     add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
     text = "file to create (for ply and lerobot: folder to create; default: next to the recording)"
@@ -46,8 +46,7 @@ def run(args: argparse.Namespace) -> int:
             tell(f"{path}: {line}")
     content = content_of(path)
     calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
-    _, begin = FORMATS[args.to]
-    export = begin(out, calibration, args.profile, content)
+    export = _begin(args.to, out, calibration, args.profile, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
     try:
@@ -84,10 +83,18 @@ def _export_hand(args: argparse.Namespace) -> int:
     return 1 if hand.unread else 0
 
 
-# Each format is imported on demand: some need extra packages.
+def _begin(to: str, out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+    """Begin an export; a format is imported on demand if it needs extra packages."""
+    # The quantities of a touch: those learned from labels, or those known without labels.
+    touch = calibration.touch[profile].names if profile in calibration.touch else PLAIN
+    if to == "csv":
+        return CsvExport(out, touch)
+    if to == "ply":
+        return PlyExport(out)
+    if to == "lerobot":
+        from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
 
-
-def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+        return LeRobotExport(out, touch)
     require_mcap()
     from tacshade_edge.factories.hand_recordings import recorded_settings
     from tacshade_edge.storage.exports.mcap_export import McapExport
@@ -100,42 +107,10 @@ def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, 
     return McapExport(out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content)
 
 
-def _csv(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    from tacshade_edge.storage.exports.files import CsvExport
-
-    return CsvExport(out, _touch_names(calibration, profile))
-
-
-def _ply(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    from tacshade_edge.storage.exports.files import PlyExport
-
-    return PlyExport(out)
-
-
-def _lerobot(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
-
-    return LeRobotExport(out, _touch_names(calibration, profile))
-
-
-FORMATS: Final[dict[str, tuple[str, Callable[[Path, Calibration, str, dict[str, bytes]], Export]]]] = {
-    "mcap": (".mcap", _mcap),
-    "csv": (".csv", _csv),
-    "ply": ("-ply", _ply),
-    "lerobot": ("-lerobot", _lerobot),
-}
-"""For each format, the suffix of the recording's name if --out is missing, and the function that begins the export."""
-
-
-def _touch_names(calibration: Calibration, profile: str) -> tuple[str, ...]:
-    """The names of a touch's quantities: those learned from labels, or those known without labels."""
-    return calibration.touch[profile].names if profile in calibration.touch else PLAIN
-
-
 def _beside(recording: Path, to: str) -> Path:
     recording = recording.resolve()
     name = recording.name.removesuffix(".part").removesuffix(".mcap") if is_mcap(recording) else recording.name
-    return recording.with_name(name + FORMATS[to][0])
+    return recording.with_name(name + SUFFIXES[to])
 
 
 def _calibration(recording: Path, given: Path | None) -> Calibration:

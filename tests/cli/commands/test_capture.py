@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,22 +21,14 @@ from tacshade_edge.storage.tables.presses import read_presses
 from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot
 
-SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
-SOURCE = "source: {kind: simulated, fps: 20, pressed: hand.csv}\n"
-
-
-def press(folder: Path, row: str = "") -> None:
-    beside = folder / "hand.part"
-    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
-    os.replace(beside, folder / "hand.csv")
+PLAN = "image,indenter,radius_mm,depth_mm,x_mm,y_mm\n"
+Press = Callable[..., None]
 
 
 @pytest.mark.slow
-def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
-    config, plan, out = tmp_path / "sim.yaml", tmp_path / "PLAN.csv", tmp_path / "my sensor"
-    config.write_text(SOURCE)
-    plan.write_text("image,indenter,radius_mm,depth_mm,x_mm,y_mm\n,ball,6,2.5,1,-3\n,ball,4,2,-5,2\n")
-    press(tmp_path)
+def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Path, press: Press) -> None:
+    plan, out = tmp_path / "PLAN.csv", tmp_path / "my sensor"
+    plan.write_text(PLAN + ",ball,6,2.5,1,-3\n,ball,4,2,-5,2\n")
     with person(str(out), "--config", str(config), "--plan", str(plan)) as one:
         one.hears("Radius of the undeformed skin")
         one.types("0.02")
@@ -46,17 +39,17 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         one.hears("live picture: http://127.0.0.1:")
         one.hears("Enter takes 10 references.")
         one.hears("focus 0.")
-        press(tmp_path, "ball,6,2.5,9,0")
+        press("ball,6,2.5,9,0")
         one.types("")
         one.hears("rejected: ")  # by whichever of the checks sees it: moving or loaded
-        press(tmp_path)
+        press()
         one.hears("Enter takes 10 references.")
         one.types("")
         one.hears("10 references, noise")
         one.hears("press 1, 2 planned presses left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
         one.types("")
         one.hears("not taken: nothing touches the skin")
-        press(tmp_path, "ball,6,2.5,1,-3")
+        press("ball,6,2.5,1,-3")
         one.types("")
         one.hears("press_001.png: ball of 6 mm")
         one.types("undo")
@@ -86,7 +79,8 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         one.hears("all balls have a radius of 6 mm")
         one.types("done")
         assert one.ends() == 0
-        assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
+        assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --fit --out" in one.heard
+        assert "2 presses: " in one.heard
     folder = CaptureFolder(out)
     presses, _ = read_presses(folder.presses)
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
@@ -97,25 +91,23 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kill_9_loses_only_the_press_under_way(tmp_path: Path) -> None:
-    (tmp_path / "sim.yaml").write_text(SOURCE)
-    (tmp_path / "PLAN.csv").write_text("image,indenter,radius_mm,depth_mm,x_mm,y_mm\n" + ",ball,6,2.5,1,-3\n" * 20)
-    press(tmp_path)
+def test_kill_9_loses_only_the_press_under_way(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
+    (tmp_path / "PLAN.csv").write_text(PLAN + ",ball,6,2.5,1,-3\n" * 20)
     folder = CaptureFolder(tmp_path / "out")
-    words = (str(folder.path), "--config", str(tmp_path / "sim.yaml"), "--plan", str(tmp_path / "PLAN.csv"))
+    words = (str(folder.path), "--config", str(config), "--plan", str(tmp_path / "PLAN.csv"))
 
     def whole() -> tuple[int, int]:
         """References and presses; each row has its image."""
         presses = read_presses(folder.presses)[0] if folder.presses.exists() else []
         return len(folder.references()), len(presses)
 
-    for answers in range(5):
+    for answers in (0, 2):
         with person(*words) as one:
             one.hears("Radius of the undeformed skin")
             for answer in ("20", "50", "14", "bright")[:answers]:
                 one.types(answer)
     (tmp_path / "out").mkdir(exist_ok=True)
-    folder.sensor.write_text(SENSOR)
+    folder.sensor.write_text(sensor_yaml)
     with person(*words) as one:
         one.hears("Enter takes 10 references.")
         one.types("")
@@ -124,9 +116,9 @@ def test_kill_9_loses_only_the_press_under_way(tmp_path: Path) -> None:
         if one.hears("Enter takes 10 references.", "press 1") != "press 1":
             one.types("")
             one.hears("10 references, noise")
-    press(tmp_path, "ball,6,2.5,1,-3")
+    press("ball,6,2.5,1,-3")
     taken = 0
-    for more in range(4):
+    for more in (0, 3):
         with person(*words) as one:
             one.hears(f"this folder already has 10 references and {taken} presses")
             one.hears("planned presses left")
@@ -153,24 +145,19 @@ def takes(one: Person, line: str, shown: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
+def test_a_robot_tells_place_and_depth(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
     """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
-    link, config, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "sim.yaml", tmp_path / "out"
-    config.write_text(f"{SOURCE}serial: {{device: {link}}}\n")
+    link, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "out"
+    config.write_text(f"{config.read_text()}serial: {{device: {link}}}\n")
     model, flange_T_sensor = SensorModel(), shift(0, 5, 80) @ turn((0, 0, 0.5))
     out.mkdir()
-    (out / "SENSOR.yaml").write_text(
-        f"skin_radius_mm: {model.skin_radius_mm}\nvisible_half_angle_deg: {model.visible_half_angle_deg}\n"
-        f"camera_distance_mm: {model.camera_distance_mm}\npolarity: bright\n"
-        f"flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n"
-    )
+    (out / "SENSOR.yaml").write_text(f"{sensor_yaml}flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n")
     held = shift(300, -20, 150) @ turn((2.0, 0.3, 0)) @ flange_T_sensor
     moved = held @ shift(-3, 1.5, 0.5)
     flange = [(one @ flange_T_sensor.inverse()).seven() for one in (held, moved)]
     skin_z_mm = [math.sqrt(model.skin_radius_mm**2 - x * x - y * y) for x, y in ((1, -3), (4, -4.5))]
     depth_mm = f"{2.5 + 0.5 + skin_z_mm[1] - skin_z_mm[0]:.3f}"
     place = flange[0]
-    press(tmp_path)
     with (
         PtyRobot(link, rate_hz=50, binary=True, where=lambda _: place) as robot,
         person(str(out), "--config", str(config)) as one,
@@ -180,14 +167,14 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
         one.hears("press 1 (ball")
         robot.ask("CAPTURE")
         wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
-        press(tmp_path, "ball,6,2.5,1,-3")
+        press("ball,6,2.5,1,-3")
         one.types("ball 6")
         one.hears("found no press of ball in this run, expected a first press with depth, x and y")
         one.types("ball 6 2.5 1 -3")
         one.hears("press_001.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
         one.hears("press 2 [ball 6, where the robot holds it]:")
         place = flange[1]
-        press(tmp_path, f"ball,6,{depth_mm},4,-4.5")
+        press(f"ball,6,{depth_mm},4,-4.5")
         takes(one, "", "press_002.png: ball of 6 mm, ")
         one.types("undo")
         one.hears("press 2 [ball 6, where the robot holds it]:")
@@ -203,22 +190,26 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
     assert load(out / "config.yaml").settings.serial is not None
 
 
-def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "sim.yaml"
-    config.write_text(SOURCE)
+def test_what_cannot_work_is_one_line(
+    tmp_path: Path, config: Path, sensor_yaml: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    (out / "SENSOR.yaml").write_text(SENSOR)
+    (out / "SENSOR.yaml").write_text(sensor_yaml)
     (tmp_path / "PLAN.csv").write_text("image,indenter\n")
     (tmp_path / "none.yaml").write_text("source: {kind: files, path: nothing}\n")
     cases = {
         "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
         "--camera /dev/none: found another source in": ["--camera", "/dev/none"],
+        "--scale: found no --labels DIR": ["--scale", "/dev/ttyUSB0"],
+        "--printer: found no --plan": ["--config", str(config), "--printer", "/dev/no-such-port"],
     }
-    (out / "config.yaml").write_text(SOURCE)
+    (out / "config.yaml").write_text(config.read_text())
     for said, words in cases.items():
         assert main(["capture", str(out), *words]) == 78
         error = capfd.readouterr().err
         assert error.count("\n") == 1
         assert said in error
+    assert main(["capture", "--labels", str(out), "--plan", "PLAN.csv"]) == 78
+    assert "--labels: found --plan" in capfd.readouterr().err

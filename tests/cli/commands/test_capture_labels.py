@@ -6,18 +6,17 @@ import os
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from support.person import Person, person
 
-from tacshade_edge.cli import main
 from tacshade_edge.rigid import shift, turn
-from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
 from tools.testbed.robot import PtyRobot
 
+Press = Callable[..., None]
 LATE_S = 0.3
 WEIGHT_KG = 0.15
 
@@ -54,23 +53,10 @@ class PtyScale:
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "sim.yaml"
-    path.write_text("source: {kind: simulated, fps: 20, pressed: hand.csv}\n")
-    sensor, model = tmp_path / "out", SensorModel()
-    sensor.mkdir()
-    (sensor / "SENSOR.yaml").write_text(
-        f"skin_radius_mm: {model.skin_radius_mm}\nvisible_half_angle_deg: {model.visible_half_angle_deg}\n"
-        f"camera_distance_mm: {model.camera_distance_mm}\npolarity: bright\n"
-    )
-    press(tmp_path)
-    return path
-
-
-def press(folder: Path, row: str = "") -> None:
-    beside = folder / "hand.part"
-    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
-    os.replace(beside, folder / "hand.csv")
+def out(tmp_path: Path, sensor_yaml: str) -> Path:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "SENSOR.yaml").write_text(sensor_yaml)
+    return tmp_path / "out"
 
 
 def labelled(out: Path) -> list[LabelledImage]:
@@ -82,7 +68,7 @@ def rested(one: Person) -> None:
     one.types("")
 
 
-def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Iterator[str]:
+def presses(one: Person, press: Press, scale: PtyScale, numbers: range) -> Iterator[str]:
     """Press and lift while it is recorded; what it is taken as."""
     pause = threading.Event()
     for number in numbers:
@@ -90,10 +76,10 @@ def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Itera
         one.types("")
         one.hears("press, then lift")
         pause.wait(0.5)
-        press(folder, "ball,6,2.5,1,-3")
+        press("ball,6,2.5,1,-3")
         scale.put(WEIGHT_KG)
         pause.wait(1.2)
-        press(folder)
+        press()
         scale.put(0)
         pause.wait(0.8)
         one.types("")
@@ -101,8 +87,7 @@ def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Itera
 
 
 @pytest.mark.slow
-def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
-    out = tmp_path / "out"
+def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
     with person("--labels", str(out), "--config", str(config)) as one:
         rested(one)
         one.hears("press 1 (Enter, NAME=VALUE ...")
@@ -143,12 +128,11 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scale_is_lined_up_with_the_pictures(tmp_path: Path, config: Path) -> None:
-    out = tmp_path / "out"
+def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: Press) -> None:
     with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
         rested(one)
         one.hears(f"tare: the scale reads {0.012 * 9.80665:.4f} N, spread 0.0000 N")
-        for _ in presses(one, tmp_path, scale, range(1, 6)):
+        for _ in presses(one, press, scale, range(1, 6)):
             pass
         one.types("done")
         one.hears("Enter measures the drift.")
@@ -172,12 +156,11 @@ def test_a_scale_is_lined_up_with_the_pictures(tmp_path: Path, config: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: Path) -> None:
-    out = tmp_path / "out"
+def test_a_scale_that_cannot_be_lined_up_gives_no_force(out: Path, config: Path, press: Press) -> None:
     with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
         rested(one)
         one.hears("tare: the scale reads")
-        for _ in presses(one, tmp_path, scale, range(1, 3)):
+        for _ in presses(one, press, scale, range(1, 3)):
             one.hears("no quantity yet")
         one.types("depth_mm=1")
         one.hears("press 3: 1 pictures with depth_mm")
@@ -192,8 +175,8 @@ def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: 
 
 
 @pytest.mark.slow
-def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
-    link, out = Path(f"/dev/shm/tacshade-labels-{os.getpid()}"), tmp_path / "out"
+def test_a_robots_poses_label_a_press(out: Path, config: Path, press: Press) -> None:
+    link = Path(f"/dev/shm/tacshade-labels-{os.getpid()}")
     with config.open("a") as settings:
         settings.write(f"serial: {{device: {link}}}\n")
     first = shift(300, -20, 150) @ turn((2.0, 0.3, 0))
@@ -213,9 +196,9 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
         place = (first @ shift(0.5, -0.25, 1.5)).seven()
         pause = threading.Event()
         pause.wait(0.5)
-        press(tmp_path, "ball,6,1.5,0,0")
+        press("ball,6,1.5,0,0")
         pause.wait(1.0)
-        press(tmp_path)
+        press()
         pause.wait(0.2)
         one.types("")
         one.hears("press 1: ")
@@ -234,21 +217,3 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
             "shear_y_mm": pytest.approx(0.25, abs=1e-3),
             "twist_deg": pytest.approx(0, abs=1e-3),
         }
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both options"),
-        (
-            ["--labels", "DIR", "--plan", "PLAN.csv"],
-            "--labels: found --plan or --printer too, expected --labels without them",
-        ),
-    ],
-)
-def test_options_that_do_not_go_together(
-    words: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["capture", *(word.replace("DIR", str(tmp_path / "d")) for word in words)]) == 78
-    assert capsys.readouterr().err == f"tacshade-edge: {why}\n"
-    assert not (tmp_path / "d").exists()

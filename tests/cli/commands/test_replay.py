@@ -110,12 +110,6 @@ def test_runs_on_other_cells_are_compared_by_depth(folder: Path, capsys: pytest.
     assert height == "  height_mm: on other cells in frame 0 (000000.png), so not compared cell by cell"
 
 
-def test_the_recordings_own_calibration_is_taken(folder: Path) -> None:
-    assert main(words(folder, "--out", str(folder / "a"))) == 0
-    (folder / "rec" / "calibration.npz").write_bytes((folder / "cal.npz").read_bytes())
-    assert main(["replay", str(folder / "rec"), "--out", str(folder / "b"), "--against", str(folder / "a")]) == 0
-
-
 def test_a_loop_is_one_longer_run(folder: Path) -> None:
     assert main(words(folder, "--out", str(folder / "out"), "--loop", "3")) == 0
     records = summary(folder / "out")
@@ -162,27 +156,14 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
 
 
 @pytest.mark.slow
-def test_two_processes_give_the_same_bytes(folder: Path) -> None:
-    runs = [folder / name for name in ("a", "b")]
-    for seed, out in enumerate(runs):
-        environment = os.environ | {"PYTHONHASHSEED": str(seed)}
-        subprocess.run([*COMMAND, *words(folder, "--out", str(out))], env=environment, check=True, capture_output=True)
-    for name in (HEIGHTS, CLOUDS, SUMMARY):
-        first, second = ((out / name).read_bytes() for out in runs)
-        assert first == second
-        assert len(first) > 500
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_leaves_nothing(folder: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_leaves_nothing(folder: Path) -> None:
     out = folder / "out"
     given = words(folder, "--out", str(out), "--speed", "1", "--loop", "1000")
     child = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     heights = out / "heights.bin.part"
     try:
         wait_until(lambda: heights.exists() and heights.stat().st_size > 0, 30, "the run has begun")
-        child.send_signal(number)
+        child.send_signal(signal.SIGTERM)
         said, errors = child.communicate(timeout=patience(20))
     finally:
         child.kill()
