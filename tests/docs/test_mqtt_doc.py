@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import json
 import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import tacshade_client
 from paho.mqtt.client import topic_matches_sub
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.session import MapPublisher, MapRevision
 from tacshade_edge.protocol import wire
-from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
+from tacshade_edge.reasons import ReasonCode
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +28,7 @@ VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").rea
 HAND_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "hand.json").read_text())
 TOUCH_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "touch.json").read_text())
 NODE = shutil.which("node")
+FLAGS = {1: "contact", 2: "invalid", 4: "saturated", 8: "degraded"}
 
 # Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer, as mqtt.js delivers it.
 HARNESS = """
@@ -40,7 +37,7 @@ for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n"
   const bytes = Buffer.from(line.slice(1), "hex"), big = Buffer.alloc(bytes.length + 7);
   bytes.copy(big, 3);
   let answer;
-  try { answer = decode(big.subarray(3, 3 + bytes.length)); } catch (e) { answer = { error: e.message }; }
+  try { answer = NAME(big.subarray(3, 3 + bytes.length)); } catch (e) { answer = { error: e.message }; }
   console.log(JSON.stringify(answer, plain));
 }
 """
@@ -51,64 +48,18 @@ def code(language: str, page: str = "frames") -> str:
     return str(found)
 
 
-def javascript(page: str, name: str) -> str:
-    """The dashboard's decoders, which the page names, as a script."""
-    text = (PAGES / f"{page}.md").read_text()
-    assert f"](../../../{WIRE_JS.relative_to(ROOT)})" in text
-    assert f"`{name}`" in text or page == "frames"
+def decoded(name: str, payloads: list[bytes]) -> list[Any]:
+    """What a function of the dashboard's decoders, which the pages name, answers."""
+    assert NODE is not None
     script, exported = WIRE_JS.read_text().split("\nexport ")
     assert name in re.findall(r"\w+", exported)
-    return script
+    command = [NODE, "-e", script + HARNESS.replace("NAME", name)]
+    lines = "".join(f"x{payload.hex()}\n" for payload in payloads)
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, timeout=patience(60), check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def by_python(payloads: list[bytes]) -> list[dict[str, Any]]:
-    """The client's answers, in the words of the other decoder."""
-    assert "](../client.md)" in (PAGES / "frames.md").read_text()
-    answers: list[dict[str, Any]] = []
-    for payload in payloads:
-        try:
-            message = tacshade_client.decode(payload)
-        except tacshade_client.DecodeError as error:
-            answers.append({"error": str(error)})
-            continue
-        fields = {name: getattr(message, name) for name in message.__dataclass_fields__}
-        flags = sum(bit for bit, name in enumerate_flags() if fields[name])
-        pose = message.pose and dataclasses.astuple(message.pose)[1:]
-        raveled = {name: value.ravel() for name, value in fields.items() if isinstance(value, np.ndarray)}
-        answers.append(fields | raveled | {"flags": flags, "pose": pose})
-    return answers
-
-
-def by_javascript(payloads: list[bytes]) -> list[dict[str, Any]]:
-    assert NODE is not None
-    lines = "".join(f"x{p.hex()}\n" for p in payloads)
-    done = subprocess.run(
-        [NODE, "-e", javascript("frames", "decode") + HARNESS],
-        input=lines,
-        capture_output=True,
-        text=True,
-        timeout=patience(60),
-        check=True,
-    )
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    for answer in answers:
-        for key in ("t_ns", "wall_ns"):
-            if key in answer:
-                answer[key] = int(answer[key])
-    return answers
-
-
-Decoder = Callable[[list[bytes]], list[dict[str, Any]]]
-both = pytest.mark.parametrize(
-    "decode",
-    [
-        by_python,
-        pytest.param(
-            by_javascript,
-            marks=[pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")],
-        ),
-    ],
-)
+needs_node = pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
 
 
 def values(sequence: Any) -> Any:
@@ -116,85 +67,34 @@ def values(sequence: Any) -> Any:
     return np.array([np.nan if v is None else v for v in sequence], np.float64)
 
 
-@both
-def test_decoder_understands_every_sound_vector(decode: Decoder) -> None:
-    sound = [v for v in VECTORS if "expect" in v]
-    answers = decode([bytes.fromhex(v["hex"]) for v in sound])
+@pytest.mark.node
+@needs_node
+def test_the_decoder_understands_every_sound_vector_and_refuses_the_damaged() -> None:
+    sound, damaged = ([v for v in VECTORS if key in v] for key in ("expect", "error"))
+    answers = decoded("decode", [bytes.fromhex(v["hex"]) for v in sound])
     assert len(answers) == len(sound) >= 6
     for answer, expect in zip(answers, (v["expect"] for v in sound), strict=True):
-        assert [answer[k] for k in ("seq", "t_ns", "wall_ns")] == [expect[k] for k in ("seq", "t_ns", "wall_ns")]
-        flags = sum(bit for bit, name in enumerate_flags() if expect[name])
-        assert answer["flags"] & 15 == flags
+        assert [answer["seq"], *map(int, (answer["t_ns"], answer["wall_ns"]))] == [
+            expect[key] for key in ("seq", "t_ns", "wall_ns")
+        ]
+        assert answer["flags"] & 15 == sum(bit for bit, name in FLAGS.items() if expect[name])
         assert (answer["pose"] and list(answer["pose"])) == expect["pose"]
         if expect["kind"] in ("height", "shear", "sigma"):
             name = f"{expect['kind']}_mm"
             np.testing.assert_allclose(values(answer[name]), values(expect[name]), rtol=1e-6)
             assert [answer[k] for k in ("row0", "col0", "step_px")] == [expect[k] for k in ("row0", "col0", "step_px")]
         else:
-            assert list(answer["points_mm"]) == expect["points_mm"]
-            assert list(answer["labels"]) == expect["labels"]
-
-
-def enumerate_flags() -> list[tuple[int, str]]:
-    return [(1, "contact"), (2, "invalid"), (4, "saturated"), (8, "degraded")]
-
-
-@both
-def test_decoder_refuses_every_damaged_vector(decode: Decoder) -> None:
-    damaged = [v for v in VECTORS if "error" in v]
-    answers = decode([bytes.fromhex(v["hex"]) for v in damaged])
+            assert (answer["points_mm"], answer["labels"]) == (expect["points_mm"], expect["labels"])
+    answers = decoded("decode", [bytes.fromhex(v["hex"]) for v in damaged])
     assert len(answers) == len(damaged) >= 10
     assert [v["name"] for v, a in zip(damaged, answers, strict=True) if "error" not in a] == []
 
 
-@both
-def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> None:
-    rng = np.random.default_rng(1)
-    height = rng.normal(0, 10, (37, 53)).astype(np.float32)
-    height[rng.random(height.shape) < 0.2] = np.nan
-    cloud = ObjectCloud(rng.normal(0, 20, (999, 3)).astype(np.float32), rng.integers(1, 2**16, 999, np.uint16))
-    grid = HeightMap(height, np.zeros(height.shape, np.bool_), 1.5, 2.5, 4.0)
-    glare = Reason(ReasonCode.GLARE, "glare")
-    result = Reconstruction(77, 2**60, 5, "fast", True, None, True, True, glare, grid, cloud)
-    pose = Pose(2**60, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
-    decoded = decode(
-        [
-            wire.encode_height(result, calibration_crc32=1, pose=pose, pose_error_us=5),
-            wire.encode_cloud(result, calibration_crc32=1),
-        ]
-    )
-    assert [d["seq"] for d in decoded] == [77, 77]
-    assert [d["t_ns"] for d in decoded] == [2**60, 2**60]
-    assert list(decoded[0]["pose"]) == [1, 2, 3, 1, 0, 0, 0]
-    expected = np.clip(height, -32.767, 32.767).ravel()
-    np.testing.assert_allclose(values(decoded[0]["height_mm"]), expected, atol=0.000505)
-    np.testing.assert_array_equal(values(decoded[1]["points_mm"]), cloud.points_mm.ravel().astype(np.float64))
-    np.testing.assert_array_equal(decoded[1]["labels"], cloud.labels)
-
-
-def hand_by_javascript(payloads: list[bytes]) -> list[Any]:
-    assert NODE is not None
-    harness = (
-        javascript("hand", "decodeHand")
-        + """
-for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n")) {
-  let answer = null;
-  try { answer = decodeHand(Buffer.from(line.slice(1), "hex")); } catch { /* refused */ }
-  console.log(JSON.stringify(answer));
-}
-"""
-    )
-    lines = "".join(f"x{p.hex()}\n" for p in payloads)
-    command = [NODE, "-e", harness]
-    done = subprocess.run(command, input=lines, capture_output=True, text=True, timeout=patience(60), check=True)
-    return [json.loads(line) for line in done.stdout.splitlines()]
-
-
 @pytest.mark.node
-@pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
+@needs_node
 def test_the_decoder_of_a_hand_understands_and_refuses_every_vector() -> None:
-    answers = hand_by_javascript([v["payload"].encode() for v in HAND_VECTORS])
-    assert [v["name"] for v, a in zip(HAND_VECTORS, answers, strict=True) if (a is None) != ("error" in v)] == []
+    answers = decoded("decodeHand", [v["payload"].encode() for v in HAND_VECTORS])
+    assert [v["name"] for v, a in zip(HAND_VECTORS, answers, strict=True) if ("error" in a) != ("error" in v)] == []
     for vector, answer in zip(HAND_VECTORS, answers, strict=True):
         if "expect" in vector:
             expect, fingers = vector["expect"], answer["fingers"]

@@ -21,14 +21,3 @@ def test_without_a_package_the_pictures_are_missing_and_a_line_says_so(
     assert capsys.readouterr().err == f"tacshade-edge: figure6.png will be missing without {package}: {install}\n"
     assert not study.will_draw(argparse.Namespace(out=None), "figure6.png", PACKAGES)
     assert capsys.readouterr().err == ""
-
-
-def test_the_table_or_the_document_is_printed_and_both_are_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for json in (False, True):
-        args = argparse.Namespace(out=tmp_path, json=json)
-        study.publish(args, "some", "a table", {"": "a,b\n", "_more": "c\n"}, {"a": 1})
-        printed = tmp_path / ("some.json" if json else "some.md")
-        assert capsys.readouterr().out == printed.read_text()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["some.csv", "some.json", "some.md", "some_more.csv"]
