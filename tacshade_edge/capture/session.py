@@ -21,6 +21,7 @@ from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, b
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
+from tacshade_edge.quoting import did_you_mean
 from tacshade_edge.storage.tables.capture_folder import (
     CaptureFolder,
     Stated,
@@ -324,8 +325,12 @@ class Session:
         """Return the indenter's name, its radius and the remaining words."""
         if words[0] == BALL:
             return BALL, words[1] if len(words) > 1 else "", words[2:]
-        if words[0] in self._names or not words[0].replace(".", "").replace("-", "").isdigit():
+        if words[0] in self._names:
             return words[0], "", words[1:]
+        if not words[0].replace(".", "").replace("-", "").isdigit():
+            names = (BALL, *sorted(self._names))
+            meant = did_you_mean(words[0], names)
+            raise ConfigError(f"indenter: found {words[0]!r}, expected {' or '.join(names)}{meant}")
         if not self._taken:
             raise ConfigError("found no indenter before the numbers, expected one")
         indenter, radius_mm, *_ = self._taken[-1].stated.columns

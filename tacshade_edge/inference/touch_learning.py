@@ -84,7 +84,7 @@ def report_lines(result: TouchResult) -> Sequence[str]:
     """The result as lines of text."""
     lines = [f"touch model of {result.profile}: {len(result.names)} frames"]
     for each in result.learnt.reports:
-        unit = each.name.rpartition("_")[2]
+        unit = UNITS[each.name.rpartition("_")[2]]
         if not each.seen:
             lines.append(f"  {each.name}: not visible in these frames (R² {each.r2:.2f}): no answer")
             continue
@@ -99,6 +99,9 @@ def report_lines(result: TouchResult) -> Sequence[str]:
             lines.append(f"    contradict the others: {rows}{more}")
     return lines
 
+
+UNITS = {"mm": "mm", "deg": "°", "n": "N", "nmm": "N mm"}
+"""Symbol of the unit at the end of a quantity's name."""
 
 SHOWN = 5
 """Greatest number of rows that a line names."""

@@ -19,7 +19,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     except ConfigError as error:
         paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}  # errors have generic names
         pattern = r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )"
-        raise ConfigError(re.sub(pattern, lambda name: paths[name[0]], str(error))) from None
+        raise ConfigError(re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others) from None
     calibration, fitted = result.calibration, None
     if args.fit:
         from tacshade_edge.fitting.fit import fit
@@ -110,6 +110,9 @@ def run(args: argparse.Namespace) -> int:
         for line in (line for one in touch for line in report_lines(one)):
             print(line)
         print(f"{'as shipped, ' if fitted else ''}{quality.line}")
+        if used := calibration.fit and calibration.fit.profiles.get(DEFAULT):
+            errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
+            print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
         for line in (*fitted.found, *(report.line for report in fitted.networks)) if fitted else ():
             print(line)
         for advice in (*(fitted.advice if fitted else ()), *quality.advice):

@@ -112,7 +112,10 @@ def _own(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.images}: found no image to score, expected at least one image with a truth file")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
     _publish(args, rows, timings, settings)
-    return 1 if mistakes else 0
+    refused = {row.image: row.degraded for row in rows if not row.valid}
+    for image, why in refused.items():
+        tell(f"{image}: invalid: {why}")
+    return 1 if mistakes or refused else 0
 
 
 def _publish(
@@ -159,6 +162,9 @@ def _labelled(args: argparse.Namespace) -> int:
     study.publish(args, "labels", *texts, labels.document(every, made_of))
     if drawn:
         study.write(args.out / "labels.png", labels.draw(rows, known))
+    if not any(row.contact or not row.refused for row in every):
+        tell(f"{args.images}: every frame is invalid, the first: {every[0].refused}; are they this calibration's?")
+        return 1
     return 1 if mistakes else 0
 
 

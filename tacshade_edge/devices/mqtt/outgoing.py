@@ -126,7 +126,8 @@ class Outgoing:
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
         ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
-        ``failed`` (displaced or lost while the broker was away). The newest payload is kept while the broker is away
+        ``failed`` (displaced or lost while the broker was away; before the first connection, ``superseded``). The newest
+        payload is kept while the broker is away
         and is sent first afterwards, so that subscribers do not keep outdated data.
         """
         with self._lock:
@@ -295,6 +296,8 @@ class Outgoing:
     def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
         """Report the outcome of stream items. Lock not held."""
         with self._lock:
+            if outcome == "failed" and not self._counters["connects"]:
+                outcome = "superseded"  # no broker has been there yet
             self._counters[outcome] += len(items)
         for stream, item in items:
             self._on_outcome(stream, item.seq, outcome)

@@ -46,7 +46,15 @@ def read_presses(
         ``FILE:LINE: column: found …, expected …``, or an image is unreadable.
     """
     rows, notes = press_rows(path)
-    return [_press(path, where, row, indenters or {}) for where, row in rows], notes
+    presses, mistakes = list[KnownPress](), list[str]()
+    for where, row in rows:
+        try:
+            presses.append(_press(path, where, row, indenters or {}))
+        except ConfigError as error:
+            mistakes.append(str(error))
+    if mistakes:
+        raise ConfigError(mistakes[0], others=mistakes[1:])
+    return presses, notes
 
 
 def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:

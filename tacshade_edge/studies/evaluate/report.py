@@ -186,7 +186,8 @@ def _profiles_table(profiles: Mapping[str, Sequence[Row]], timings: Mapping[str,
         nothing = null_figures(some)
         beats = f"{better} of {known}" if known else ""
         p50 = f"{timings[profile].p50_ms:.1f}" if profile in timings else ""
-        counts = (str(nothing.frames), str(nothing.phantoms), f"{nothing.deepest_mm:.2f}", str(nothing.refused))
+        refused = sum(not row.valid for row in some)  # with and without contact
+        counts = (str(nothing.frames), str(nothing.phantoms), f"{nothing.deepest_mm:.2f}", str(refused))
         lines.append([profile, beats, *counts, p50])
     return "Profiles\n\n" + tables.markdown(header, lines)
 

@@ -75,6 +75,7 @@ def test_what_was_fitted_is_printed_and_stored(
         assert f"  {key}: " in printed
     assert re.search(r"^(fair|poor): depth is within \d\.\d\d mm", printed, re.MULTILINE)
     assert "  to do: 10 presses: 20 to 40" in printed
+    assert re.search(r"^  with balanced, the profile of `run` and `reconstruct` by default: \d", printed, re.MULTILINE)
     assert main(["calibrate", *command, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["crc32"] == f"{calibration.crc32:08x}"
@@ -138,6 +139,7 @@ def test_bad_input_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.
     header = "image,indenter,radius_mm,depth_mm,x_mm,y_mm\n"
     (tmp_path / "few.csv").write_text(header)
     (tmp_path / "bad.csv").write_text(header + "cut.png,ball,4.5,2,,\n")
+    (tmp_path / "bads.csv").write_text(header + "cut.png,ball,4.5,2,,\ncut.png,egg,,2,,\n")
     (tmp_path / "unknown.yaml").write_text(Path(words[1]).read_text() + "colour: red\n")
     (tmp_path / "type.yaml").write_text(Path(words[1]).read_text().replace("20.0", "twenty"))
     out, sensor = str(tmp_path / "cal.npz"), words[:2]
@@ -154,6 +156,10 @@ def test_bad_input_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.
     }
     for said, given in cases.items():
         assert said in refused(["calibrate", *given, "--out", out], capsys)
+    assert main(["calibrate", *sensor, "--presses", str(tmp_path / "bads.csv"), *words[4:], "--out", out]) == 78
+    first, second = capsys.readouterr().err.splitlines()
+    assert "bads.csv:2: image: " in first
+    assert "bads.csv:3: indenter: found 'egg'" in second
     nowhere = str(tmp_path / "none" / "cal.npz")
     assert nowhere in refused(["calibrate", *sensor, *words[4:], "--out", nowhere], capsys, 1)
 

@@ -63,6 +63,8 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.types("skip")
         one.types("ball 6 2.5 1 15 15")
         one.hears("found 4 values after the indenter")
+        one.types("bal 6 2 -1 6")
+        one.hears("indenter: found 'bal', expected ball; did you mean ball?")
         one.types("")
         one.hears("press_001.png: ball of 6 mm")
         one.hears("press 2, 1 planned presses left [ball of 4 mm")

@@ -90,6 +90,21 @@ def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sorted(p.name for p in (own / "out").iterdir()) == WRITTEN
 
 
+def test_another_sensors_images_are_refused_one_by_one_and_exit_1(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = np.random.default_rng(1).integers(0, 255, TOUCHED.shape, np.uint8)
+    for name in ("a", "b"):
+        cv2.imwrite(str(own / "images" / f"{name}.png"), other)
+        (own / "images" / f"{name}.npz").write_bytes((own / "images" / "coin.npz").read_bytes())
+    assert main(of_own(own, "--profile", "fast", "balanced")) == 1
+    printed = capsys.readouterr()
+    first, second = printed.err.splitlines()
+    assert first.startswith("tacshade-edge: a.png: invalid: ")
+    assert second.startswith("tacshade-edge: b.png: invalid: ")
+    assert "| 2 |" in printed.out.splitlines()[-1], "refused"
+
+
 def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cv2.imwrite(str(own / "images" / "alone.png"), TOUCHED)
     assert main(of_own(own)) == 1

@@ -43,8 +43,8 @@ class Selection:
 def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
     """Leave out presses without contact, with a moved camera, or that disagree with their stated values; the network of
     `GRADED_PROFILE` shows whether and where something touches, and wrong stated sizes. Raises ConfigError on a gross
-    mistake in the whole table or the sensor's description, on too few presses or too many left out, and on one that
-    cannot be of this sensor.
+    mistake in the whole table or the sensor's description, and on too few presses or too many left out, all of which
+    it names.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")
@@ -57,10 +57,13 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
-        _check_press(unloaded, press)
+        if impossible := _impossible(unloaded, press):
+            left_out.append(f"{press.name}: {impossible}")
+            continue
         judged = check.judge(press.image)
         if judged.unusable:
-            raise ConfigError(f"{press.name}: unusable: {judged.unusable}")
+            left_out.append(f"{press.name}: {judged.unusable}")
+            continue
         if judged.moved:
             left_out.append(f"{press.name}: {judged.moved} since the references were taken")
             continue
@@ -84,7 +87,8 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        raise ConfigError(f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}")
+        found = f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}"
+        raise ConfigError(found, others=left_out[1:])
     return Selection(
         tuple(pressed[k] for k in usable),
         tuple(observations[k] for k in usable),
@@ -119,16 +123,13 @@ def _gross_mistakes(
     return tuple(mistake for mistake in mistakes if mistake)
 
 
-def _check_press(calibration: Calibration, press: KnownPress) -> None:
-    """Raise ConfigError if this cannot be a press of the sensor."""
+def _impossible(calibration: Calibration, press: KnownPress) -> str:
+    """Why this cannot be a press of the sensor; empty if it can."""
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
-        raise ConfigError(
-            f"{press.name}: found {press.image.shape[1]}x{press.image.shape[0]} px, "
-            f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the reference"
-        )
+        expected = f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the reference"
+        return f"found {press.image.shape[1]}x{press.image.shape[0]} px, {expected}"
     if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
-        raise ConfigError(
-            f"{press.name}: found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm, "
-            f"expected a depth above 0 and below {r} mm and a radius above 0"
-        )
+        found = f"found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm"
+        return f"{found}, expected a depth above 0 and below {r} mm and a radius above 0"
+    return ""

@@ -33,25 +33,21 @@ def test_too_few_presses() -> None:
         fitted(presses()[:7])
 
 
-@pytest.mark.parametrize("depth_mm", [0.0, -1.0, 20.0, 1e9, float("nan"), float("inf")])
-def test_a_depth_that_cannot_be(depth_mm: float) -> None:
-    with pytest.raises(ConfigError, match=r"press 0: found a depth .* expected a depth above 0 and below 20"):
-        fitted([replace(presses()[0], depth_mm=depth_mm), *presses()[1:]])
-
-
-@pytest.mark.parametrize("radius_mm", [0.0, -1.0, float("nan")])
-def test_a_ball_that_cannot_be(radius_mm: float) -> None:
-    with pytest.raises(ConfigError, match=r"press 0: .*expected .*a radius above 0"):
-        fitted([replace(presses()[0], radius_mm=radius_mm), *presses()[1:]])
-
-
-def test_press_images_that_cannot_be_used() -> None:
-    for image, reason in {
-        "size": (presses()[0].image[:-2], "found 320x238 px, expected 320x240 px as in the reference"),
-        "black": (presses()[0].image * 0, "unusable: black"),
-    }.values():
-        with pytest.raises(ConfigError, match=f"press 0: {reason}"):
-            fitted([replace(presses()[0], image=image), *presses()[1:]])
+@pytest.mark.parametrize("depths_mm", [(0.0, -1.0, 20.0), (1e9, float("nan"), float("inf"))])
+def test_presses_that_cannot_be_are_all_named_and_the_others_used(depths_mm: tuple[float, ...]) -> None:
+    first, second, *rest = presses()
+    bad = [replace(first, name=f"bad {k}", depth_mm=depth_mm) for k, depth_mm in enumerate(depths_mm)]
+    small = replace(second, name="small", image=second.image[:-2])
+    black = replace(second, name="black", image=second.image * 0)
+    flat = replace(second, name="flat", radius_mm=0.0)
+    result = fitted([*bad, small, *rest])
+    assert [line.partition(":")[0] for line in result.warnings] == ["bad 0", "bad 1", "bad 2", "small"]
+    assert all(line.endswith("; left out") for line in result.warnings)
+    assert result.calibration.fit is not None
+    assert result.calibration.fit.presses == 18
+    with pytest.raises(ConfigError, match=r"^6 of 14 presses are unusable; the first one: bad 0: ") as refused:
+        fitted([*bad, small, black, flat, *rest[:8]])
+    assert [line.partition(":")[0] for line in refused.value.others] == ["bad 1", "bad 2", "small", "black", "flat"]
 
 
 def test_a_press_that_disagrees_is_named_and_left_out() -> None:
