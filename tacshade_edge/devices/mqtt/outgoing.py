@@ -126,9 +126,9 @@ class Outgoing:
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
         ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
-        ``failed`` (displaced or lost while the broker was away; before the first connection, ``superseded``). The newest
-        payload is kept while the broker is away
-        and is sent first afterwards, so that subscribers do not keep outdated data.
+        ``failed`` (displaced or lost while the broker was away; before the first connection, ``superseded``). The
+        newest payload is kept while the broker is away and is sent first afterwards, so that subscribers do not keep
+        outdated data.
         """
         with self._lock:
             outlet = self._outlet(stream, 0, False)
