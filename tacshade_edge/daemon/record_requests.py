@@ -19,8 +19,7 @@ from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
-from tacshade_edge.storage.recording.mcap.fix import fix_recordings
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder, fix_recordings
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.types import Frame

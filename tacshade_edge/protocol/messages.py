@@ -11,7 +11,7 @@ from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
-from tacshade_edge.types.touch import QUANTITIES
+from tacshade_edge.types.reconstruction import QUANTITIES
 
 # Everything except the reason may be null, which the viewers' JSON Schema cannot express.
 TOUCH_SCHEMA: Mapping[str, Any] = {

@@ -26,19 +26,8 @@ def disk_errors(folder: Path) -> Iterator[None]:
 
 
 def require_free(folder: Path, floor_bytes: int | None = None) -> None:
-    """Refuse to write more to a disk that is nearly full.
-
-    Parameters
-    ----------
-    folder : Path
-        A folder on the disk; it need not exist yet.
-    floor_bytes : int, optional
-        Least free space; `FREE_FLOOR_BYTES` by default.
-
-    Raises
-    ------
-    DeviceError
-        With code DISK_FULL.
+    """Raise DeviceError (DISK_FULL) if a folder's disk has less free space than `FREE_FLOOR_BYTES`; it need not exist
+    yet.
     """
     floor_bytes = FREE_FLOOR_BYTES if floor_bytes is None else floor_bytes
     existing = next(path for path in (folder, *folder.parents) if path.exists())
@@ -59,12 +48,7 @@ def part(path: Path) -> Path:
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
     """Write a file under a temporary name, then rename it. Raises OSError and then leaves nothing behind.
 
-    Parameters
-    ----------
-    path : Path
-    data : bytes, or an iterable of them
-    sync : bool
-        Wait for the disk; False if the caller writes many files and calls `sync` later.
+    With `sync` it waits for the disk; whoever writes many files calls `sync` later.
     """
     partial = part(path)
     try:

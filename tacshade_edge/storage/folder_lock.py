@@ -16,21 +16,10 @@ _OWNER_BYTES_MAX = 200
 
 
 class FolderLock:
-    """A lock that this process holds on a folder until `release` or its own end.
+    """A lock that this process holds on a folder, or on a file in it, until `release` or its own end.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if it does not exist, unless `file` is given.
-    owner : str
-        Name of the owner, which others who want the folder see with this process's id.
-    file : str, optional
-        Lock only this file of the folder.
-
-    Raises
-    ------
-    DeviceError
-        Another process holds the lock (IN_USE, with its name), or the lock cannot be written.
+    Others who want it see the name of the `owner` with this process's id. Raises DeviceError if another process holds
+    it (IN_USE, with its name), or it cannot be written.
     """
 
     def __init__(self, folder: Path, owner: str, *, file: str = "") -> None:

@@ -18,17 +18,9 @@ _PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
 
 
 def read_image(path: Path) -> U8:
-    """Read one image of at most 64 MiB.
+    """Read one image of at most 64 MiB, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError.
 
-    Returns
-    -------
-    uint8 (H, W) grey or (H, W, 3) BGR
-        As stored, ignoring EXIF orientation; without an alpha channel, and 16 bits reduced to 8.
-
-    Raises
-    ------
-    DecodeError
-        The file is unreadable, not an image, too large, or truncated.
+    It is as stored, ignoring EXIF orientation, without an alpha channel, and with 16 bits reduced to 8.
     """
     try:
         data = read_regular(path, BYTES_MAX)

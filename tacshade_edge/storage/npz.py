@@ -1,23 +1,36 @@
-"""Reads the arrays of an ``.npz`` file that somebody else wrote, within limits that hold whatever the file says."""
+"""An ``.npz`` file of canonical JSON and some arrays with the CRC-32 of both, and the records in it.
+
+A record is a dataclass of numbers, texts and arrays, with the bounds of its numbers in its types. Whatever a file says,
+reading it takes no more memory than `BYTES_MAX` allows, and what it holds is a record or refused in one line.
+"""
 
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import struct
 import tokenize
 import zipfile
 import zlib
-from typing import Any, Final
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from typing import Any, Final, TypeVar, get_args, get_type_hints
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from tacshade_edge.errors import DecodeError
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
 
+T = TypeVar("T")
+Array = npt.NDArray[Any]
+BYTES_MAX: Final = 64 << 20
+"""Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
 _MEMBERS_MAX: Final = 16
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE: Final = (
@@ -26,32 +39,132 @@ _DAMAGE: Final = (
 )
 
 
-def read_arrays(path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf") -> dict[str, npt.NDArray[Any]]:
-    """Read every array by name, in the file's order.
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """The content of such a file: JSON values, and arrays, on whose order the checksum depends."""
 
-    Parameters
-    ----------
-    path : path
-    bytes_max : int
-        Greatest size of the file, and of its unpacked content.
-    kinds : str
-        The accepted kinds of `numpy.dtype`.
+    meta: Mapping[str, Any]
+    arrays: Mapping[str, Any]
 
-    Raises
-    ------
-    OSError
-        As `read_regular`.
-    DecodeError
-        The file is damaged, of another kind or too large when unpacked.
+    @property
+    def crc32(self) -> int:
+        """The CRC-32 of `meta` and `arrays`."""
+        return _crc32(_json(self.meta), self.arrays)
+
+    def packed(self) -> bytes:
+        """The file's bytes."""
+        stream = io.BytesIO()
+        meta = np.frombuffer(_json(self.meta), dtype=np.uint8)
+        np.savez_compressed(stream, meta=meta, crc32=np.uint32(self.crc32), **self.arrays)
+        return stream.getvalue()
+
+
+def read(name: str, what: str, writer: str) -> Content:
+    """Read a file; `what` and `writer` are the kind of file and its program, for messages. Raises ConfigError."""
+    try:
+        # In the file's order; another version may have other arrays, which its checksum covers.
+        arrays = read_arrays(name, BYTES_MAX)
+        meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
+    except OSError as error:
+        raise ConfigError(
+            f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
+        ) from None
+    except (DecodeError, KeyError, ValueError, TypeError):
+        raise ConfigError(
+            f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
+        ) from None
+    if _crc32(meta, arrays) != crc:
+        raise ConfigError(
+            f"{name}: the file is damaged: found checksum {_crc32(meta, arrays):08x}, expected the stored {crc:08x}"
+        )
+    try:
+        known = json.loads(meta)
+    except (ValueError, RecursionError):
+        known = None
+    if not isinstance(known, dict):
+        raise ConfigError(f"{name}: not a {what}; expected a file written by {writer}")
+    return Content(known, arrays)
+
+
+def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], dict[str, Array]]:
+    """A record's values and arrays by field, those of a dataclass in it as its own.
+
+    A field that has its default is left out unless it is in `kept`, so that a record without it keeps its checksum.
+    """
+    meta: dict[str, Any] = {}
+    arrays: dict[str, Array] = {}
+    for field, value in ((field, getattr(record, field.name)) for field in fields(record)):
+        if isinstance(value, np.ndarray):
+            arrays[field.name] = value
+        elif is_dataclass(value):
+            inner = parts_of(value)
+            meta, arrays = meta | inner[0], arrays | inner[1]
+        elif field.name in kept or value != _default(field):
+            meta[field.name] = dict(value) if isinstance(value, Mapping) else value
+    return meta, arrays
+
+
+def record_of(kind: type[T], values: Mapping[str, Any], *, strict: bool = True) -> T:
+    """The record that `parts_of` took apart; with `strict`, other values are refused. Raises ValueError."""
+    known: set[str] = set()
+    nested = _nested(kind, values, known)
+    if strict and (unknown := sorted(set(values) - known)):
+        raise ValueError(f"Object contains unknown field `{unknown[0]}`")
+    return msgspec.convert(nested, kind, dec_hook=_array)
+
+
+def read_arrays(path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf") -> dict[str, Array]:
+    """Read every array of any ``.npz`` file in the file's order; `kinds` are the accepted kinds of `numpy.dtype`.
+
+    Raises OSError like `read_regular`, and DecodeError if the file is damaged, of another kind, or larger than
+    `bytes_max`, packed or unpacked.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(read_regular(path, bytes_max))) as archive:
             entries = archive.infolist()
             if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > bytes_max:
                 raise ValueError("too many or too large arrays")
-            return {entry.filename.removesuffix(".npy"): _array(_unpacked(archive, entry), kinds) for entry in entries}
+            return {entry.filename.removesuffix(".npy"): _npy(_unpacked(archive, entry), kinds) for entry in entries}
     except _DAMAGE as error:
         raise DecodeError(f"no intact .npz file: {error}") from None
+
+
+def _nested(kind: type, values: Mapping[str, Any], known: set[str]) -> dict[str, Any]:
+    """The values by field of `kind`, those of a dataclass in it in a dict of their own."""
+    made: dict[str, Any] = {}
+    hints = get_type_hints(kind)
+    for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
+        if name in values:
+            made[name] = values[name]
+            known.add(name)
+        elif is_dataclass(hints[name]):
+            made[name] = _nested(hints[name], values, known)  # type: ignore[arg-type]
+    return made
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _array(kind: type, value: object) -> object:
+    """Accept an array of the type that `kind`, such as `F32`, states."""
+    dtype = np.dtype(get_args(get_args(kind)[1])[0]) if get_args(kind) else None
+    if dtype is None or not isinstance(value, np.ndarray) or value.dtype != dtype:
+        raise ValueError(f"Expected an array of {dtype}")
+    return value
+
+
+def _json(meta: Mapping[str, Any]) -> bytes:
+    return json.dumps(meta, sort_keys=True).encode()
+
+
+def _crc32(meta: bytes, arrays: Mapping[str, Any]) -> int:
+    crc = zlib.crc32(meta)
+    for name in arrays:
+        array = np.ascontiguousarray(arrays[name])
+        crc = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), crc)
+        crc = zlib.crc32(array.tobytes(), crc)
+    return crc
 
 
 def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
@@ -62,7 +175,7 @@ def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
         return member.read(entry.file_size + 1)
 
 
-def _array(data: bytes, kinds: str) -> npt.NDArray[Any]:
+def _npy(data: bytes, kinds: str) -> Array:
     """The array in a .npy, which must be as long as its header says. Raises one of `_DAMAGE`."""
     stream = io.BytesIO(data)
     if npy.read_magic(stream) != (1, 0):

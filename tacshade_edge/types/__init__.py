@@ -1,11 +1,28 @@
 """The values that the layers pass to each other. Frozen; every array in them is read-only."""
 
 from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
-from tacshade_edge.types.calibration import Binarisation, Calibration, Fit, FittedNetwork, Polarity, ProfileFit
+from tacshade_edge.types.calibration import (
+    TOUCH_ARRAYS,
+    Binarisation,
+    Calibration,
+    Fit,
+    FittedNetwork,
+    Polarity,
+    ProfileFit,
+    TouchModel,
+)
 from tacshade_edge.types.frame import IDENTITY_POSE, Frame, Pose
 from tacshade_edge.types.geometry import Disc, Geometry
-from tacshade_edge.types.reconstruction import HeightMap, Need, ObjectCloud, Reconstruction, Slip, TouchedObject
-from tacshade_edge.types.touch import QUANTITIES, TOUCH_ARRAYS, Touch, TouchModel
+from tacshade_edge.types.reconstruction import (
+    QUANTITIES,
+    HeightMap,
+    Need,
+    ObjectCloud,
+    Reconstruction,
+    Slip,
+    Touch,
+    TouchedObject,
+)
 
 __all__ = [
     "F32",

@@ -1,61 +1,62 @@
-"""Everything that is known about one sensor."""
+"""Everything that is known about one sensor, as it is stored (`storage.calibration.calibration_file`).
+
+A number's bounds stand with its field; they hold for a calibration that is made and for one that is read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import numpy as np
+from msgspec import Meta
 
 from tacshade_edge.types.arrays import F32, U8, freeze
 from tacshade_edge.types.frame import IDENTITY_POSE
-from tacshade_edge.types.geometry import Geometry
-from tacshade_edge.types.touch import TouchModel
+from tacshade_edge.types.geometry import Disc, Geometry
 
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
 
+# Limits that no length (mm or px), scale or factor of a sensor comes near; only a camera distance may be smaller.
 _MOST, _LEAST = 1e6, 1e-6
-"""Limits that no length (mm or px), scale or factor of a sensor comes near; only a camera distance may be smaller."""
+Size = Annotated[float, Meta(gt=_LEAST, lt=_MOST)]
+Positive = Annotated[float, Meta(gt=0, lt=_MOST)]
+Error = Annotated[float, Meta(ge=0, le=_MOST)]
+Coordinate = Annotated[float, Meta(gt=-_MOST, lt=_MOST)]
+# `Geometry` and `Disc` are also the client's, which has no msgspec.
+_GEOMETRY: dict[type, dict[str, Any]] = {
+    Geometry: {
+        "skin_radius_mm": Size,
+        "camera_distance_mm": Positive | None,
+        "visible_half_angle_deg": Annotated[float, Meta(gt=_LEAST, le=90)],
+    },
+    Disc: {"row_c": Coordinate, "col_c": Coordinate, "radius_px": Size},
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """How well a refitted profile finds the depth of presses, each press judged by a refit to all the others.
-
-    Attributes
-    ----------
-    presses : int
-        Presses whose contact the profile found.
-    depth_mae_mm, depth_worst_mm : float
-        Mean and greatest error of the greatest h, mm.
+    """The presses whose contact a refitted profile found, and its errors of their greatest h, each judged by a refit to
+    all the others.
     """
 
-    presses: int
-    depth_mae_mm: float
-    depth_worst_mm: float
+    presses: Annotated[int, Meta(ge=0, le=10**6)]
+    depth_mae_mm: Error
+    depth_worst_mm: Error
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well the ball presses of a calibration agree with each other and with the refitted profiles.
-
-    Attributes
-    ----------
-    presses : int
-        Presses that were used.
-    agreement_mae_mm : float
-        Mean error of a press's depth predicted from all the others, with ball and place known.
-    position_mae_mm : float
-        Mean distance between located and stated places; 0 if none was stated.
-    profiles : mapping of str to ProfileFit
-        The fit of each refitted profile.
+    """How well the presses of a calibration agree with each other (a press's depth predicted from all the others, with
+    ball and place known), located with stated places (0 if none was stated), and with the refitted profiles.
     """
 
-    presses: int
-    agreement_mae_mm: float
-    position_mae_mm: float
+    presses: Annotated[int, Meta(ge=0, le=10**6)]
+    agreement_mae_mm: Error
+    position_mae_mm: Error
     profiles: Mapping[str, ProfileFit] = field(default_factory=dict)
 
 
@@ -63,111 +64,121 @@ class Fit:
 class FittedNetwork:
     """A profile's network, trained further with a sensor's own presses (``calibrate --fit``).
 
-    Attributes
-    ----------
-    layout : str
-        Layout of the shipped network that training began with (`inference.onnx_weights`); the weights run in no other.
-    weights : float32 (P,)
-        All weights, in the order of the shipped file.
-    correction : float32 (channels, N, N)
-        Added to what the sensor's reference adds to the first layer (`core.depth.Network.sense`), even after the
-        reference has changed; 0 in new fits.
-    held_out : int
-        Number of presses kept out of the training, which decided whether to keep the network.
-    error_mm, shipped_error_mm : float
-        Mean error of h on those presses, at the cells where the indenter's surface is known, of this network and of
-        the shipped one with its one factor; each indenter counts alike.
-    error_scale : float or None
-        Factor on σ, measured on those presses (`core.depth.sigma`); None if it was not measured.
-
-    Raises
-    ------
-    ValueError
-        A weight is not finite, or `error_scale` is not above 0 or is implausibly large.
+    Errors are of h on the presses kept out of the training, at the cells where the indenter's surface is known; each
+    indenter counts alike.
     """
 
-    layout: str
-    weights: F32
-    correction: F32
-    held_out: int
+    layout: str  # of the shipped network that training began with; the weights run in no other
+    weights: F32  # (P,), in the order of the shipped file
+    correction: F32  # (channels, N, N), added to what the reference adds to the first layer; 0 in new fits
+    held_out: int  # number of presses that decided whether to keep the network
     error_mm: float
-    shipped_error_mm: float
-    error_scale: float | None = None
+    shipped_error_mm: float  # of the shipped network with its one factor
+    error_scale: Positive | None = None  # factor on σ, measured on those presses (`core.depth.sigma`)
 
     def __post_init__(self) -> None:
         freeze(self, "weights", "correction")
-        if self.error_scale is not None and not 0 < self.error_scale < _MOST:
-            raise ValueError(f"error_scale is {self.error_scale}, which no sensor has")
+        require_bounds(self)
         if not (np.isfinite(self.weights).all() and np.isfinite(self.correction).all()):
             raise ValueError("a fitted weight is not finite")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TouchModel:
+    """A profile's touch model. D features, m components, M centres, K basis functions, Q quantities, T terms."""
+
+    names: tuple[str, ...]  # of Q quantities, from `QUANTITIES`
+    networks: str  # digest of those that compute the features (`inference.network.touch_networks`)
+    mean: F32  # (D,) of each feature over the table
+    deviation: F32  # (D,) above 0
+    components: F32  # (D, m): standardised features to coordinates whose mean squares over the table add to 1
+    scale: Positive  # length of a standardised feature vector whose coordinates have length 1
+    spread: F32  # (m,) standard deviation of each coordinate over the table, descending
+    centres: F32  # (M, m)
+    width: Positive  # of the squared-exponential kernel
+    basis: F32  # (m + M, K): kernel values to the basis functions that vary most and are uncorrelated over the table
+    weights: F32  # (m + M, Q) of the kernel values in each quantity's mean
+    precision: F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
+    ridge: F32  # (Q,) regularisation
+    offset: F32  # (Q,) mean over the table
+    noise: F32  # (Q,) standard deviation of a label about the model
+    low: F32  # (Q,) least label of the table
+    high: F32  # (Q,) greatest label of the table
+    leverage_max: Positive  # a frame is unlike the table's beyond this `leverage` of its coordinates, or beyond this
+    residual_max: Positive  # share of its standardised features that the components leave out
+    imprint_weights: F32  # (T, I): terms of the predicted quantities to their imprint (`core.touch.answer`)
+    imprint_precision: F32  # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I
+    imprint_max: Positive  # greatest squared distance of an imprint; beyond it an object is unlike the table's
+
+    def __post_init__(self) -> None:
+        freeze(self, *TOUCH_ARRAYS)
+        require_bounds(self)
+        for name, shape in _touch_shapes(self).items():
+            array: F32 = getattr(self, name)
+            if array.dtype != np.float32 or array.shape != shape:
+                raise ValueError(f"touch model: {name} is {array.dtype} {array.shape}, expected {shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"touch model: {name} has a value that is not finite")
+        positive = (self.deviation, self.spread, self.noise, self.ridge)
+        if min(array.min() for array in positive) <= 0 or (self.precision < 0).any():
+            raise ValueError("touch model: a deviation is not above 0")
+
+
+TOUCH_ARRAYS = (
+    *("mean", "deviation", "components", "spread", "centres", "basis", "weights", "precision", "ridge"),
+    *("offset", "noise", "low", "high", "imprint_weights", "imprint_precision"),
+)
+
+
+def _touch_shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
+    """The expected shape of each array, from those of `components`, `centres`, `basis` and `imprint_weights`."""
+    matrices = (model.components, model.centres, model.basis, model.imprint_weights)
+    if not model.names or any(matrix.ndim != 2 or not matrix.size for matrix in matrices):
+        raise ValueError("touch model: found no quantity, or an array that is not a matrix")
+    features, parts = model.components.shape
+    centres, columns, quantities = len(model.centres), model.basis.shape[1], len(model.names)
+    terms, imprint = (quantities + 1) * (quantities + 2) // 2, model.imprint_weights.shape[1]
+    return {
+        "mean": (features,),
+        "deviation": (features,),
+        "components": (features, parts),
+        "spread": (parts,),
+        "centres": (centres, parts),
+        "basis": (parts + centres, columns),
+        "weights": (parts + centres, quantities),
+        "precision": (columns, quantities),
+        "imprint_weights": (terms, imprint),
+        "imprint_precision": (imprint, imprint),
+        **dict.fromkeys(("ridge", "offset", "noise", "low", "high"), (quantities,)),
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything that is known about one sensor; ``storage.calibration.calibration_file`` stores it as one ``.npz``.
-
-    Attributes
-    ----------
-    geometry : Geometry
-    polarity : str
-        ``bright`` when contact raises the white ratio, ``dark`` when it lowers it.
-    binarisation : str
-        Method that made `reference_white`; frames must be binarised the same way.
-    image_height_px, image_width_px : int
-        Size of every frame.
-    pitch_px : float
-        Marker pitch at the middle of the disc, in px.
-    reference_white : uint8 (H, W)
-        255 times the mean of the references' binarised images: eq. 1 is linear, so g0 for any window and stride is a
-        box mean of it.
-    reference_grey : uint8 (H, W)
-        Mean of the references' grey images: the light, and the surround that must not move.
-    noise_grey : float
-        RMS of g between the references (eq. 1 at the window of the profiles), grey levels.
-    alpha : float
-        The paper's α: depth of a normalised height of 1, in pixels.
-    factors : mapping of str to float
-        Factor on h of each profile that was refitted to presses (`core.calibration.refit`).
-    fit : Fit or None
-        Quality of the fit to ball presses; None without presses.
-    fitted : mapping of str to FittedNetwork
-        Network of each profile that has weights of its own; the profile's factor is then unused.
-    error_scales : mapping of str to float
-        Factor on σ of each profile whose shipped network was measured on presses (`core.depth.sigma`).
-    touch : mapping of str to TouchModel
-        Touch model of each profile that has learnt from labelled frames (``calibrate --labels``).
-    flange_T_sensor : 7 floats
-        x, y, z in mm, quaternion w, x, y, z.
-    crc32 : int
-        CRC-32 of the stored content; 0 until it is stored.
-
-    Raises
-    ------
-    ValueError
-        A number is NaN, not above 0, or implausibly large, so that no sensor has it.
-    """
+    """Everything that is known about one sensor. A number that no sensor has raises ValueError."""
 
     geometry: Geometry
-    polarity: Polarity
-    binarisation: Binarisation
-    image_height_px: int
+    polarity: Polarity  # bright when contact raises the white ratio
+    binarisation: Binarisation  # method that made `reference_white`; frames must be binarised the same way
+    image_height_px: int  # of every frame
     image_width_px: int
-    pitch_px: float
-    reference_white: U8
-    reference_grey: U8
-    noise_grey: float
-    alpha: float
-    factors: Mapping[str, float] = field(default_factory=dict)
+    pitch_px: Size  # of the markers at the middle of the disc
+    reference_white: U8  # (H, W), 255 times the mean of the references' binarised images; g0 is its box mean (eq. 1)
+    reference_grey: U8  # (H, W), mean of the references' images: the light, and the surround that must not move
+    noise_grey: Annotated[float, Meta(ge=0, le=255)]  # RMS of g between the references (eq. 1), grey levels
+    alpha: Annotated[float, Meta(ge=0, lt=_MOST)]  # the paper's α: depth of a normalised height of 1, in px
+    factors: Mapping[str, Size] = field(default_factory=dict)  # on h, of each profile refitted to presses
     fit: Fit | None = None
-    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)
-    error_scales: Mapping[str, float] = field(default_factory=dict)
-    touch: Mapping[str, TouchModel] = field(default_factory=dict)
-    flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
-    crc32: int = 0
+    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)  # by profile, whose factor is then unused
+    error_scales: Mapping[str, Size] = field(default_factory=dict)  # on σ, of shipped networks measured on presses
+    touch: Mapping[str, TouchModel] = field(default_factory=dict)  # by profile (``calibrate --labels``)
+    flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = IDENTITY_POSE
+    crc32: int = 0  # of the stored content; 0 until it is stored
 
     def __post_init__(self) -> None:
         freeze(self, "reference_white", "reference_grey")
-        _check_numbers(self)
+        for record in (self, self.geometry, self.geometry.disc):
+            require_bounds(record)
 
     def error_scale(self, profile: str) -> float | None:
         """Factor on σ of the network that the profile runs, fitted or shipped; None if no presses have shown it."""
@@ -175,25 +186,28 @@ class Calibration:
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
 
 
-def _check_numbers(calibration: Calibration) -> None:
-    geometry = calibration.geometry
-    disc, distance_mm = geometry.disc, geometry.camera_distance_mm
-    positive = {
-        "skin_radius_mm": geometry.skin_radius_mm,
-        "radius_px": disc.radius_px,
-        "pitch_px": calibration.pitch_px,
-        **{f"factor of {name}": factor for name, factor in calibration.factors.items()},
-        **{f"error scale of {name}": scale for name, scale in calibration.error_scales.items()},
-    }
-    ranges = {
-        **{name: (value, _LEAST < value < _MOST) for name, value in positive.items()},
-        "camera_distance_mm": (distance_mm, distance_mm is None or 0 < distance_mm < _MOST),
-        "row_c": (disc.row_c, abs(disc.row_c) < _MOST),
-        "col_c": (disc.col_c, abs(disc.col_c) < _MOST),
-        "visible_half_angle_deg": (geometry.visible_half_angle_deg, _LEAST < geometry.visible_half_angle_deg <= 90),
-        "alpha": (calibration.alpha, 0 <= calibration.alpha < _MOST),  # half of the smallest float is 0
-        "noise_grey": (calibration.noise_grey, 0 <= calibration.noise_grey <= 255),
-    }
-    for name, (value, good) in ranges.items():
-        if not good:
-            raise ValueError(f"{name} is {value}, which no sensor has")
+def require_bounds(record: object) -> None:
+    """Raise ValueError if a number of a dataclass, or in a mapping or tuple of it, is NaN or outside its bounds."""
+    for name, bounds in _bounds(type(record)).items():
+        given = getattr(record, name)
+        values = given.values() if isinstance(given, Mapping) else given if isinstance(given, tuple) else (given,)
+        for value in values:
+            if value is not None and not all(
+                (each.gt is None or value > each.gt)
+                and (each.ge is None or value >= each.ge)
+                and (each.lt is None or value < each.lt)
+                and (each.le is None or value <= each.le)
+                for each in bounds
+            ):
+                raise ValueError(f"{name} is {value}, which no sensor has")
+
+
+@cache
+def _bounds(kind: type) -> dict[str, tuple[Meta, ...]]:
+    """The bounds of a dataclass's numbers by field."""
+    hints = _GEOMETRY.get(kind) or get_type_hints(kind, include_extras=True)
+    return {name: found for name, hint in hints.items() if (found := tuple(_metas(hint)))}
+
+
+def _metas(hint: Any) -> list[Meta]:
+    return [hint] if isinstance(hint, Meta) else [meta for part in get_args(hint) for meta in _metas(part)]

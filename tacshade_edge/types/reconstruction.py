@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Flag, IntEnum
 
 import numpy as np
 
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types.arrays import F32, U16, Bool, freeze
-from tacshade_edge.types.touch import Touch
+
+QUANTITIES = (
+    *("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg", "x_mm", "y_mm", "edge_deg"),
+    *("force_x_n", "force_y_n", "force_z_n", "torque_x_nmm", "torque_y_nmm", "torque_z_nmm"),
+)
+"""Columns of LABELS.csv; the first six are also known without labels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMap:
-    """Radial deformation on a grid of the image.
+    """Radial deformation on a grid of the image; grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
 
-    Attributes
-    ----------
-    height_mm : float32 (rows, cols)
-        h, positive inwards, of the deformed skin point that the pixel's ray meets; NaN outside the disc.
-    contact : bool (rows, cols)
-        Where the skin touches an object.
-    row0, col0, step_px : float
-        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px); not whole pixels in general.
+    `height_mm`, float32 (rows, cols), is h, positive inwards, of the deformed skin point that the pixel's ray meets, or
+    NaN outside the disc; `contact`, bool (rows, cols), is where the skin touches an object.
     """
 
     height_mm: F32
@@ -38,15 +38,7 @@ class HeightMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectCloud:
-    """Points of the contacted skin.
-
-    Attributes
-    ----------
-    points_mm : float32 (N, 3)
-        x, y, z in the sensor frame.
-    labels : uint16 (N,)
-        Object number of each point, from 1.
-    """
+    """Points of the contacted skin, float32 (N, 3), x, y, z in the sensor frame; uint16 object numbers (N,) from 1."""
 
     points_mm: F32
     labels: U16
@@ -125,63 +117,43 @@ class TouchedObject:
     margin: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The touch that a frame shows: value and standard deviation of each quantity, in the unit of its name, or None if
+    the model does not know it; and why it does not know some or all of them.
+    """
+
+    values: Mapping[str, float | None] = field(default_factory=dict)
+    sigma: Mapping[str, float | None] = field(default_factory=dict)
+    reason: Reason | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """The result of one frame.
-
-    Attributes
-    ----------
-    seq, t_ns, wall_ns : int
-        Those of the frame.
-    profile : str
-    valid : bool
-        False if the frame could not be used: `reason` says why, and height is 0 inside the disc.
-    reason : Reason or None
-        None when valid.
-    contact : bool
-        Without contact, height is exactly 0 inside the disc and the cloud is empty.
-    saturated : bool
-        The grey left the range that the calibration covers: depth is a lower bound.
-    degraded : Reason or None
-        Why the result deserves less trust (glare, light drift).
-    height : HeightMap
-    cloud : ObjectCloud
-    objects : tuple of TouchedObject
-        In the order of their labels, the greatest first.
-    volume_mm3 : float
-        Displaced volume under the contacts.
-    repaired_px : int
-        Pixels whose solver value was not finite and was replaced.
-    shear_mm : float32 (rows, cols, 2) or None
-        Shear along x and y, from any cause, of the skin that a cell's ray meets; on the grid of `height`, NaN outside
-        the disc, 0 without contact. None if the solver reports none.
-    sigma_mm : float32 (rows, cols) or None
-        Standard deviation of `height` where its `contact` is true, NaN elsewhere (`core.depth.sigma`). None if the
-        solver reports none.
-    untrusted : bool (rows, cols) or None
-        Cells that do not show the sensor's skin: their values mean nothing, and none counts as contact. None: no cell.
-    touch : Touch or None
-        None without contact, or if nobody requested it.
-    """
+    """The result of one frame; `seq` and times are the frame's."""
 
     seq: int
     t_ns: int
     wall_ns: int
     profile: str
-    valid: bool
+    valid: bool  # False: the frame could not be used, `reason` says why, and height is 0 inside the disc
     reason: Reason | None
-    contact: bool
-    saturated: bool
-    degraded: Reason | None
+    contact: bool  # without contact, height is exactly 0 inside the disc and the cloud is empty
+    saturated: bool  # the grey left the range that the calibration covers: depth is a lower bound
+    degraded: Reason | None  # why the result deserves less trust (glare, light drift)
     height: HeightMap
     cloud: ObjectCloud
-    objects: tuple[TouchedObject, ...] = ()
-    volume_mm3: float = 0.0
-    repaired_px: int = 0
+    objects: tuple[TouchedObject, ...] = ()  # in the order of their labels, the greatest first
+    volume_mm3: float = 0.0  # displaced under the contacts
+    repaired_px: int = 0  # pixels whose solver value was not finite and was replaced
+    # (rows, cols, 2) on the grid of `height`: along x and y, from any cause, of the skin that a cell's ray meets; NaN
+    # outside the disc, 0 without contact.
     shear_mm: F32 | None = None
-    sigma_mm: F32 | None = None
-    untrusted: Bool | None = None
-    touch: Touch | None = None
+    sigma_mm: F32 | None = (
+        None  # (rows, cols), standard deviation of `height` in contact, else NaN (`core.depth.sigma`)
+    )
+    untrusted: Bool | None = None  # (rows, cols): cells that do not show the sensor's skin, never contact
+    touch: Touch | None = None  # None also if nobody requested it
 
     def __post_init__(self) -> None:
         for name in ("shear_mm", "sigma_mm", "untrusted"):

@@ -8,9 +8,9 @@ import pytest
 from tacshade_edge.daemon.app import reload
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import load
-from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.checked_npz import Content
+from tacshade_edge.storage.npz import Content
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
@@ -23,7 +23,7 @@ def test_a_calibration_of_wrong_content_changes_nothing(tmp_path: Path) -> None:
     found = reload(running, calibrated=True).calibration
     assert found is not None
     assert found.crc32 == stored.crc32
-    content, _ = checked_npz.read(str(calibration), "calibration", "")
+    content = npz.read(str(calibration), "calibration", "")
     for name, value in (("polarity", "x"), ("flange_T_sensor", []), ("factors", {"fast": "1"})):
         calibration.write_bytes(Content({**content.meta, name: value}, content.arrays).packed())
         with pytest.raises(ConfigError, match=rf"calibration\.npz: .*{name}.*; calibrate again"):

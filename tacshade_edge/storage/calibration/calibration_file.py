@@ -3,92 +3,84 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Inputs
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.quoting import shown
-from tacshade_edge.storage import checked_npz
+from tacshade_edge.rigid import from_seven
+from tacshade_edge.storage import npz
 from tacshade_edge.storage.atomic_files import write_whole
-from tacshade_edge.storage.calibration import calibration_content, calibration_inputs, fitted_networks, touch_models
-from tacshade_edge.storage.checked_npz import Content
-from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry, ProfileFit, TouchModel
+from tacshade_edge.storage.calibration import calibration_inputs
+from tacshade_edge.storage.npz import Content, parts_of, record_of
+from tacshade_edge.types import QUANTITIES, TOUCH_ARRAYS, Calibration, Fit, FittedNetwork, ProfileFit, TouchModel
 
 _log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 VERSION = 9
 """It also counts the networks, as factors fit the weights shipped with them (tests/inference/test_network.py)."""
 OLDEST = 6
 """Oldest readable version; later ones differ only in the networks that their factors fit. Older factors are ignored."""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
+TOUCH_BYTES_MAX = 4 << 20
+_ALWAYS = ("factors", "fit", "flange_T_sensor")
+_PER_PROFILE = ("presses", "depth_mae_mm", "depth_worst_mm")
+_Shape = list[Annotated[int, Meta(ge=0)]]
 
 
 def fit_figures(fit: Fit | None) -> dict[str, float]:
     """A fit under flat keys, as in the file and in the commands' JSON; a profile's keys begin with its name."""
     if fit is None:
         return {}
-    figures: dict[str, float] = {
-        "presses": float(fit.presses),
-        "agreement_mae_mm": fit.agreement_mae_mm,
-        "position_mae_mm": fit.position_mae_mm,
-    }
+    figures = {name: float(getattr(fit, name)) for name in ("presses", "agreement_mae_mm", "position_mae_mm")}
     for name, profile in fit.profiles.items():
-        figures[f"{name}_presses"] = float(profile.presses)
-        figures[f"{name}_depth_mae_mm"] = profile.depth_mae_mm
-        figures[f"{name}_depth_worst_mm"] = profile.depth_worst_mm
+        figures |= {f"{name}_{part}": float(getattr(profile, part)) for part in _PER_PROFILE}
     return figures
 
 
-def _fit(figures: dict[str, float]) -> Fit | None:
-    """The fit that `fit_figures` flattened."""
-    if not figures:
+def _fit(figures: Any) -> Fit | None:
+    """The fit that `fit_figures` flattened. Raises ValueError."""
+    given: dict[str, Any] = dict(msgspec.convert(figures, dict[str, Annotated[float, Meta(ge=0, le=1e6)]]))
+    if not given:
         return None
     suffix = "_depth_mae_mm"
-    names = [key.removesuffix(suffix) for key in figures if key.endswith(suffix)]
-    return Fit(
-        presses=int(figures["presses"]),
-        agreement_mae_mm=figures["agreement_mae_mm"],
-        position_mae_mm=figures["position_mae_mm"],
-        profiles={
-            name: ProfileFit(
-                int(figures[f"{name}_presses"]), figures[f"{name}_depth_mae_mm"], figures[f"{name}_depth_worst_mm"]
-            )
-            for name in names
-        },
-    )
+    names = [key.removesuffix(suffix) for key in given if key.endswith(suffix)]
+    try:
+        for key in ("presses", *(f"{name}_presses" for name in names)):
+            given[key] = int(given[key])
+        profiles = {name: ProfileFit(*(given[f"{name}_{part}"] for part in _PER_PROFILE)) for name in names}
+        return Fit(given["presses"], given["agreement_mae_mm"], given["position_mae_mm"], profiles)
+    except KeyError as error:
+        raise ValueError(f"fit: found no {error}") from None
 
 
 def _content(calibration: Calibration) -> Content:
-    """The scalars and arrays of a calibration."""
-    geometry, disc = calibration.geometry, calibration.geometry.disc
-    meta = {
-        "version": VERSION,
-        "skin_radius_mm": geometry.skin_radius_mm,
-        "camera_distance_mm": geometry.camera_distance_mm,
-        "visible_half_angle_deg": geometry.visible_half_angle_deg,
-        "row_c": disc.row_c,
-        "col_c": disc.col_c,
-        "radius_px": disc.radius_px,
-        "polarity": calibration.polarity,
-        "binarisation": calibration.binarisation,
-        "pitch_px": calibration.pitch_px,
-        "noise_grey": calibration.noise_grey,
-        "alpha": calibration.alpha,
-        "factors": dict(calibration.factors),
-        "fit": fit_figures(calibration.fit),
-        "flange_T_sensor": list(calibration.flange_T_sensor),
-    }
-    if calibration.error_scales:  # older files have none and must keep their checksum
-        meta["error_scales"] = dict(calibration.error_scales)
-    arrays = {name: getattr(calibration, name) for name in REFERENCE_ARRAYS}
-    for key, packed in (
-        ("fitted", fitted_networks.pack(calibration.fitted)),
-        ("touch", touch_models.pack(calibration.touch)),
-    ):
-        if packed[0]:
-            meta, arrays = {**meta, key: packed[0]}, {**arrays, **packed[1]}
+    """The values and arrays of a calibration."""
+    meta, arrays = parts_of(replace(calibration, fit=None, fitted={}, touch={}, crc32=0), kept=_ALWAYS)
+    del meta["image_height_px"], meta["image_width_px"]  # as the images'
+    meta |= {"version": VERSION, "fit": fit_figures(calibration.fit)}
+    for name, fitted in calibration.fitted.items():
+        about, _ = parts_of(fitted)
+        about["correction"] = list(fitted.correction.shape)
+        meta.setdefault("fitted", {})[name] = about
+        arrays[f"fitted_{name}"] = np.concatenate((fitted.weights, fitted.correction.ravel()), dtype=np.float32)
+    for name, model in calibration.touch.items():
+        about, parts = parts_of(model)
+        about["shapes"] = {key: list(part.shape) for key, part in parts.items()}
+        meta.setdefault("touch", {})[name] = about
+        components = parts.pop("components").astype(np.float16)
+        arrays[f"touch_{name}"] = np.concatenate([part.ravel() for part in parts.values()], dtype=np.float32)
+        arrays[f"touch_{name}_components"] = components
     return Content(meta, arrays)
 
 
@@ -98,24 +90,9 @@ def with_crc(calibration: Calibration) -> Calibration:
 
 
 def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None) -> Calibration:
-    """Write a calibration; readers see the old file or the whole new one.
+    """Write a calibration whole, and its source images for `inputs_in`; return it with its `crc32`. Raises DeviceError.
 
-    Parameters
-    ----------
-    path : str
-    calibration : Calibration
-    inputs : Inputs, optional
-        The calibration's source images, for `inputs_in`. If they are too large, a log line says so.
-
-    Returns
-    -------
-    Calibration
-        With its `crc32`.
-
-    Raises
-    ------
-    DeviceError
-        The file cannot be written.
+    If the images are too large, a log line says so.
     """
     stored = with_crc(calibration)
     content = _content(stored)
@@ -134,104 +111,102 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
 def load(path: str | os.PathLike[str]) -> Calibration:
     """Read a calibration. An older version loads without factors and fit, and the log says so.
 
-    Raises
-    ------
-    ConfigError
-        The file is absent, not a calibration, of another version, damaged, or describes an impossible sensor.
+    Raises ConfigError if the file is absent, not a calibration, of another version, damaged, or describes an impossible
+    sensor; the functions below read files of any version and raise alike.
     """
-    name = os.fspath(path)
-    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
-    try:
-        return _from_content(name, content)
-    except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
+    return _read(path, lambda content: _calibration(path, content))
 
 
 def version_of(path: str | os.PathLike[str]) -> int | None:
-    """A file's stated version; None if that is not an integer. Raises ConfigError like `inputs_in`."""
-    content, _ = checked_npz.read(os.fspath(path), "calibration", "`tacshade-edge calibrate`")
-    version = content.meta.get("version")
+    """A file's stated version; None if that is not an integer."""
+    version = _read(path, lambda content: content.meta.get("version"))
     return version if type(version) is int else None
 
 
 def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
-    """The inputs that a calibration of any version was made from; None if its file does not hold them.
-
-    Raises
-    ------
-    ConfigError
-        The file is absent, not a calibration, or damaged.
-    """
-    name = os.fspath(path)
-    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
-    if "inputs" not in content.meta:
-        return None
-    try:
-        shape = content.arrays["reference_grey"].shape
-        if len(shape) != 2:
-            raise ValueError("expected an image in reference_grey")
-        return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
-    except (ValueError, KeyError) as error:
-        raise ConfigError(f"{name}: cannot read the stored images: {shown(error)}; calibrate again") from None
+    """The inputs that a calibration was made from; None if its file does not hold them."""
+    return _read(path, lambda content: calibration_inputs.unpack(content.meta, content.arrays))
 
 
 def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
-    """The fitted networks of a calibration of any version. Raises ConfigError like `inputs_in`."""
-    name = os.fspath(path)
-    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
-    try:
-        return fitted_networks.unpack(content.meta.get("fitted", {}), content.arrays)
-    except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
+    """The fitted networks of a calibration."""
+    return _read(path, _fitted)
 
 
 def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
-    """The touch models of a calibration of any version. Raises ConfigError like `inputs_in`."""
-    name = os.fspath(path)
-    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
+    """The touch models of a calibration."""
+    return _read(path, _touch)
+
+
+def _read(path: str | os.PathLike[str], unpack: Callable[[Content], T]) -> T:
+    content = npz.read(os.fspath(path), "calibration", "`tacshade-edge calibrate`")
     try:
-        return touch_models.unpack(content.meta.get("touch", {}), content.arrays)
+        return unpack(content)
     except ValueError as error:
-        raise ConfigError(f"{name}: {shown(error)}; calibrate again") from None
+        raise ConfigError(f"{os.fspath(path)}: {shown(error)}; calibrate again") from None
 
 
-def _from_content(name: str, content: Content) -> Calibration:
-    meta, arrays = content.meta, content.arrays
-    if meta.get("version") not in range(OLDEST, VERSION + 1):
-        found = shown(meta.get("version"), 20)
-        raise ConfigError(f"{name}: found calibration version {found}, expected {VERSION}; calibrate again")
-    fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
-    touch = touch_models.unpack(meta.get("touch", {}), arrays)
-    others = {*calibration_inputs.ARRAYS, *map(fitted_networks.array_name, fitted)}
-    others.update(name for profile in touch for name in touch_models.array_names(profile))
-    arrays = {key: array for key, array in arrays.items() if key not in others}
-    if set(arrays) != set(REFERENCE_ARRAYS):
-        raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
-    calibration_content.check(content, REFERENCE_ARRAYS)
-    height, width = arrays["reference_white"].shape
-    if meta["version"] != VERSION and meta["factors"]:
-        _log.warning("%s: ignoring the calibration's fit, which belongs to older networks; calibrate again", name)
-        meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
-    calibration = Calibration(
-        geometry=Geometry(
-            skin_radius_mm=meta["skin_radius_mm"],
-            camera_distance_mm=meta["camera_distance_mm"],
-            visible_half_angle_deg=meta["visible_half_angle_deg"],
-            disc=Disc(meta["row_c"], meta["col_c"], meta["radius_px"]),
-        ),
-        polarity=meta["polarity"],
-        binarisation=meta["binarisation"],
-        image_height_px=height,
-        image_width_px=width,
-        pitch_px=meta["pitch_px"],
-        noise_grey=meta["noise_grey"],
-        alpha=meta["alpha"],
-        fit=_fit(meta["fit"]),
-        flange_T_sensor=tuple(meta["flange_T_sensor"]),
-        factors=meta["factors"],
-        fitted=fitted,
-        touch=touch,
-        error_scales=meta.get("error_scales", {}),
-        **arrays,
-    )
+def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
+    meta, arrays = dict(content.meta), content.arrays
+    if (version := meta.get("version")) not in range(OLDEST, VERSION + 1):
+        raise ValueError(f"found calibration version {shown(version, 20)}, expected {VERSION}")
+    if missing := [name for name in _ALWAYS if name not in meta]:
+        raise ValueError(f"found no {missing[0]}")
+    if version != VERSION and meta["factors"]:
+        _log.warning("%s: ignoring the calibration's fit, which belongs to older networks; calibrate again", path)
+        meta |= {"factors": {}, "fit": {}, "error_scales": {}}
+    shapes = {array.shape for name, array in arrays.items() if name in REFERENCE_ARRAYS}
+    if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape:
+        raise ValueError(f"found other arrays, expected images of one size in {', '.join(REFERENCE_ARRAYS)}")
+    known = {
+        **{name: array for name, array in arrays.items() if name in REFERENCE_ARRAYS},
+        **{"image_height_px": shape[0], "image_width_px": shape[1]},
+        **{"fit": _fit(meta["fit"]), "fitted": _fitted(content), "touch": _touch(content)},
+    }
+    calibration = record_of(Calibration, meta | known, strict=False)
+    from_seven(calibration.flange_T_sensor)
     return with_crc(calibration)
+
+
+def _fitted(content: Content) -> dict[str, FittedNetwork]:
+    """The networks, of each of which an array holds the weights followed by the correction. Raises ValueError."""
+    made = {}
+    for name, about in _profiles(content, "fitted").items():
+        shape = msgspec.convert(about.get("correction"), _Shape)
+        stored, size = content.arrays.get(f"fitted_{name}"), math.prod(shape)
+        if stored is None or stored.ndim != 1 or len(shape) != 3 or not 0 < size < len(stored):
+            raise ValueError("expected fitted weights as many as they are said to be")
+        parts = {"weights": stored[:-size], "correction": stored[-size:].reshape(shape)}
+        made[name] = record_of(FittedNetwork, about | parts)
+    return made
+
+
+def _touch(content: Content) -> dict[str, TouchModel]:
+    """The models, of each of which an array holds all parts but the components, which are in 16 bits."""
+    made = {}
+    for name, about in _profiles(content, "touch").items():
+        shapes = msgspec.convert(about.pop("shapes", None), dict[str, _Shape])
+        if set(shapes) != set(TOUCH_ARRAYS):
+            raise ValueError("touch model: found other arrays than expected")
+        others = [key for key in TOUCH_ARRAYS if key != "components"]
+        sizes = [math.prod(shapes[key]) for key in others]
+        numbers, components = (content.arrays.get(f"touch_{name}{end}") for end in ("", "_components"))
+        stored = (numbers, np.float32, [sum(sizes)]), (components, np.float16, shapes["components"])
+        if any(array is None or array.dtype != kind or list(array.shape) != shape for array, kind, shape in stored):
+            raise ValueError("touch model: expected arrays as large as they are said to be")
+        assert numbers is not None
+        assert components is not None
+        if numbers.nbytes + components.nbytes > TOUCH_BYTES_MAX:
+            raise ValueError(f"touch model: more than {TOUCH_BYTES_MAX >> 20} MB")
+        parts = zip(others, np.split(numbers, np.cumsum(sizes)[:-1]), strict=True)
+        about |= {key: part.reshape(shapes[key]) for key, part in parts}
+        model = record_of(TouchModel, about | {"components": components.astype(np.float32)})
+        if not set(model.names) <= set(QUANTITIES):
+            raise ValueError("touch model: found other quantities than expected")
+        made[name] = model
+    return made
+
+
+def _profiles(content: Content, key: str) -> dict[str, dict[str, Any]]:
+    """What the file says of each profile under `key`."""
+    return msgspec.convert(content.meta.get(key, {}), dict[str, dict[str, Any]])

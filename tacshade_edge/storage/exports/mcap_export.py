@@ -9,8 +9,13 @@ from pathlib import Path
 
 from tacshade_edge.protocol.messages import encode_touch
 from tacshade_edge.storage.exports.files import NewPlace, contact_numbers
-from tacshade_edge.storage.recording.mcap import messages
-from tacshade_edge.storage.recording.mcap.writer import McapWriter
+from tacshade_edge.storage.recording.mcap.writer import (
+    McapWriter,
+    cloud_message,
+    height_message,
+    log_message,
+    transform_message,
+)
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.storage.recording.recording_content import Event, events_in
@@ -49,11 +54,11 @@ class McapExport:
                 self._log(self._events.pop(0))
             if self._first:
                 self._first = False
-                mounted = messages.transform(self._flange_T_sensor, "flange", "sensor", ident, wall_ns)
+                mounted = transform_message(self._flange_T_sensor, "flange", "sensor", ident, wall_ns)
                 self._writer.write("tf", mounted, wall_ns)
             self._writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
-            self._writer.write("height", messages.height(result.height.height_mm, ident, wall_ns), wall_ns, frame.seq)
-            self._writer.write("cloud", messages.cloud(result.cloud, ident, wall_ns), wall_ns, frame.seq)
+            self._writer.write("height", height_message(result.height.height_mm, ident, wall_ns), wall_ns, frame.seq)
+            self._writer.write("cloud", cloud_message(result.cloud, ident, wall_ns), wall_ns, frame.seq)
             contact = json.dumps(contact_numbers(recorded, result)).encode()
             self._writer.write("contact", contact, wall_ns, frame.seq)
             self._writer.write("touch", encode_touch(replace(result, wall_ns=wall_ns)), wall_ns, frame.seq)
@@ -75,4 +80,4 @@ class McapExport:
     def _log(self, event: Event) -> None:
         wall_ns = max(0, event.t_ns + self._wall_minus_t_ns)
         text = f"{event.kind}: {json.dumps(event.data)}" if event.data else event.kind
-        self._writer.write("log", messages.log("recorder", text, wall_ns), wall_ns)
+        self._writer.write("log", log_message("recorder", text, wall_ns), wall_ns)

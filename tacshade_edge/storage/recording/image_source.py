@@ -32,15 +32,7 @@ class FilesSource:
     """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file.
 
     A folder's images come in the order of its table (`frame_table`), with its poses, or else of their names; an MCAP
-    file's images come in its order, with its poses.
-
-    Parameters
-    ----------
-    path : Path
-    fps : float
-        Frames per second; a late reader gets the next frame at once, but never a burst.
-    loop : bool
-        Begin again after the last frame.
+    file's images come in its order, with its poses. A late reader gets the next frame at once, but never a burst.
     """
 
     def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
@@ -74,10 +66,7 @@ class FilesSource:
     def read(self) -> Frame | None:
         """Wait until the next frame is due; None after the last.
 
-        Raises
-        ------
-        DecodeError
-            This image is unusable; the next call continues with the next one.
+        Raises DecodeError if this image is unusable; the next call continues with the next one.
         """
         if (entry := self._next_due()) is None:
             return None
@@ -155,10 +144,7 @@ class FilesSource:
 def first_size_px(path: Path) -> tuple[int, int] | None:
     """The width and height of the first image in px; None if it cannot be decoded.
 
-    Raises
-    ------
-    ConfigError
-        There is no image, or the table is wrong.
+    Raises ConfigError if there is no image, or the table is wrong.
     """
     if is_mcap(path):
         return _first_size_of_mcap(path)

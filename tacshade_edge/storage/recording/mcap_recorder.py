@@ -1,9 +1,10 @@
-"""Writes a recording with its frames in MCAP files and all other files as `recorder` writes them."""
+"""Writes a recording with its frames in MCAP files and all other files as `recorder` writes them; fixes such files."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
 import shutil
 from collections.abc import Mapping
@@ -11,9 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES, disk_errors, part, sync
 from tacshade_edge.storage.recording.mcap import require_mcap
-from tacshade_edge.storage.recording.mcap.fix import fix
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME
 from tacshade_edge.types import Frame
@@ -21,6 +23,8 @@ from tacshade_edge.types import Frame
 if TYPE_CHECKING:
     from tacshade_edge.storage.recording.mcap.writer import McapWriter
 
+_log = logging.getLogger(__name__)
+_UNFINISHED: Final = ".mcap.part"
 FILE_BYTES_MAX: Final = 512 << 20
 FILE_NS_MAX: Final = 300 * 1_000_000_000
 """Limits of one file, because its index stays in memory until its end, at 0.7 kB per frame."""
@@ -31,12 +35,7 @@ _CHUNK_BYTES: Final = 16 << 10
 class McapRecorder(Recorder):
     """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...; each is readable alone and grows as ``.part``.
 
-    Parameters
-    ----------
-    folder : Path
-    sensor_id : str
-        Names the topics.
-    free_floor_bytes : int
+    `sensor_id` names the topics.
     """
 
     def __init__(self, folder: Path, sensor_id: str, *, free_floor_bytes: int = FREE_FLOOR_BYTES) -> None:
@@ -133,3 +132,48 @@ class McapRecorder(Recorder):
         with contextlib.suppress(OSError):  # flushing the buffer may fail, too
             stream.close()
         self._open = None
+
+
+def fix_recordings(folder: Path) -> list[Path]:
+    """After a crash, end every MCAP file below `folder` that nobody is writing behind its last whole record.
+
+    Returns their new names. Raises DeviceError if the disk fails; files not yet fixed are unchanged.
+    """
+    if not (unfinished := sorted(folder.glob(f"*/*{_UNFINISHED}"))):
+        return []
+    try:
+        require_mcap()
+        return [path for path in map(fix, unfinished) if path is not None]
+    except ConfigError as error:
+        _log.warning("%s: cannot repair the recording: %s", unfinished[0], error)
+        return []
+    except OSError as error:
+        where = error.filename or folder
+        text = f"{where}: cannot repair the recording: {error.strerror or error}"
+        raise DeviceError(text, code=ReasonCode.DISK) from None
+
+
+def fix(path: Path) -> Path | None:
+    """Turn ``NAME.mcap.part`` into ``NAME.mcap``; None if somebody writes it or it has no header. Raises OSError."""
+    from mcap.opcode import Opcode
+
+    from tacshade_edge.storage.recording.mcap.reader import HEAD, MAGIC, McapFile, Place
+
+    with path.open("r+b") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            places = McapFile(path, stream).places()  # past any damage, which readers will report
+        except (BlockingIOError, ConfigError):
+            return None
+        if (end := max((place.end for place in places if isinstance(place, Place)), default=None)) is None:
+            return None
+        stream.truncate(end)
+        stream.seek(end)
+        # The end of a data section without a checksum, and no summary, so readers scan the file.
+        stream.write(HEAD.pack(Opcode.DATA_END, 4) + bytes(4) + HEAD.pack(Opcode.FOOTER, 20) + bytes(20) + MAGIC)
+        stream.flush()
+        os.fsync(stream.fileno())
+        whole = path.with_name(path.name.removesuffix(".part"))
+        path.rename(whole)
+        sync(path.parent)
+    return whole

@@ -35,25 +35,12 @@ def png_of(image: U8) -> bytes:
 
 
 class Recorder:
-    """One recording in a new folder.
+    """One recording in a new folder, made at once; call `begin` first.
 
     Images and small files are written under temporary names and renamed. The table and the events grow as ``.part``, a
     whole line at a time, after the file that it names, and `finish` renames them; after a crash
-    `storage.recording.recording` reads the ``.part``. Call `begin` first.
-
-    Parameters
-    ----------
-    folder : Path
-        Created at once.
-    free_floor_bytes : int
-        `add` refuses a frame if the disk has less free space than this.
-
-    Raises
-    ------
-    ConfigError
-        The folder exists already.
-    DeviceError
-        The folder cannot be written (the methods raise it too), or the disk is down to the floor.
+    `storage.recording.recording` reads the ``.part``. Raises ConfigError if the folder exists already, and DeviceError,
+    as the methods do, if it cannot be written or the disk is down to the floor.
     """
 
     def __init__(self, folder: Path, *, free_floor_bytes: int = FREE_FLOOR_BYTES) -> None:

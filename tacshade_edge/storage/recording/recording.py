@@ -31,13 +31,8 @@ Picture = Path | U8 | Callable[[], U8]
 class RecordedFrame:
     """A frame with the name of its image (or its number in a video or an MCAP file).
 
-    Attributes
-    ----------
-    name : str
-    frame : Frame
-        Its `wall_ns` is 0, so that equal recordings give equal bytes.
-    wall_ns : int
-        Unix time of the capture, or the frame's `t_ns` if the recording does not state it.
+    The frame's `wall_ns` is 0, so that equal recordings give equal bytes; this `wall_ns` is the Unix time of the
+    capture, or the frame's `t_ns` if the recording does not state it.
     """
 
     name: str
@@ -46,31 +41,14 @@ class RecordedFrame:
 
 
 class Recording:
-    """A folder of images, one image or a video in the order and at the times of its table, or an MCAP file.
+    """A folder of images, one image or a video in the order and at the times of its table, or an MCAP file (extra
+    ``mcap``).
 
-    Reading MCAP needs the extra ``mcap``.
-
-    Parameters
-    ----------
-    path : Path
-    fps : float or None
-        Frame rate of the time stamps (from 0) without a table, 30 by default; refused with a table.
-    times : int
-        Number of passes; 0 repeats endlessly. Time stamps and numbers keep growing.
-
-    Attributes
-    ----------
-    cut_off : bool
-        The writer crashed; everything it wrote before is included.
-    damage : str
-        Lines left out of the table, or damage to an MCAP file outside its frames, for a person; empty without any.
-    frames : int or None
-        Greatest number of frames that `read` returns in all passes; None if unknown before the end.
-
-    Raises
-    ------
-    ConfigError
-        There is nothing to replay, or the table is wrong.
+    `fps` is the frame rate of the time stamps (from 0) without a table; with one it is refused. `times` is the number
+    of passes, in which time stamps and numbers keep growing; 0 repeats endlessly. `cut_off`: the writer crashed;
+    everything it wrote before is included. `damage`, for a person, is of the table, or of an MCAP file outside its
+    frames. `frames` is the greatest number of frames that `read` returns in all; None if unknown before the end. Raises
+    ConfigError if there is nothing to replay, or the table is wrong.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None, times: int = 1) -> None:
@@ -106,12 +84,8 @@ class Recording:
     def read(self) -> RecordedFrame | None:
         """The next frame; None after the last.
 
-        Raises
-        ------
-        DecodeError
-            This image is unusable; its number is left out, and the next call continues with the next image.
-        ConfigError
-            The table has more or fewer rows than the video has frames.
+        Raises DecodeError if this image is unusable; its number is left out, and the next call continues with the next
+        image. Raises ConfigError if the table has more or fewer rows than the video has frames.
         """
         entry = next(self._entries, None)
         if entry is None:

@@ -37,16 +37,12 @@ class Event:
 def content_of(recording: Path) -> dict[str, bytes]:
     """The calibration, settings, events and ``recording.json`` by name, as far as they exist.
 
-    The log reports damaged or too large attachments of an MCAP file, which are left out.
-
-    Raises
-    ------
-    ConfigError
-        An MCAP file is not MCAP, or a file is too large.
+    The log reports damaged or too large attachments of an MCAP file, which are left out. Raises ConfigError if an MCAP
+    file is not MCAP, or a file is too large.
     """
     if not recording.is_dir() and is_mcap(recording):
         require_mcap()
-        from tacshade_edge.storage.recording.mcap.records import attachments_in
+        from tacshade_edge.storage.recording.mcap.reader import attachments_in
 
         attached, damage = attachments_in(recording, _BYTES_MAX)
         for line in damage:

@@ -3,24 +3,31 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec import Meta
 from support.calibrated_sensor import calibrated
 from support.examples import at_most
 
+from tacshade_edge.core.calibration.inputs import Inputs, Sensor
+from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.types import Calibration, Fit, ProfileFit
-from tools.testbed.painted_sensor import painted_calibration
+from tacshade_edge.storage.npz import Content
+from tacshade_edge.types import Calibration, Fit, FittedNetwork, ProfileFit, TouchModel
+from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
-def assert_same(one: Calibration, other: Calibration) -> None:
-    for field in fields(Calibration):
+def assert_same(one: Any, other: Any) -> None:
+    for field in fields(one):
         a, b = getattr(one, field.name), getattr(other, field.name)
         if isinstance(a, np.ndarray):
             assert a.dtype == b.dtype
@@ -138,17 +145,9 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("alpha", math.nan), ("noise_grey", math.inf), ("pitch_px", 0.0), ("factors", {"fast": 1e39})]
 )
-def test_numbers_that_no_sensor_has_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: object
-) -> None:
-    changed = {name: value}
-    with pytest.raises(ValueError, match="which no sensor has"):
-        replace(painted_calibration(), **changed)  # type: ignore[arg-type]
-    monkeypatch.setattr("tacshade_edge.types.calibration._check_numbers", lambda calibration: None)
-    calibration_file.save(tmp_path / "odd.npz", replace(painted_calibration(), **changed))  # type: ignore[arg-type]
-    monkeypatch.undo()
-    with pytest.raises(ConfigError, match=rf"odd\.npz: {'factor of fast' if name == 'factors' else name} is "):
-        calibration_file.load(tmp_path / "odd.npz")
+def test_numbers_that_no_sensor_has_are_refused(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"{name} is .*, which no sensor has"):
+        replace(painted_calibration(), **{name: value})  # type: ignore[arg-type]
 
 
 def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,3 +202,185 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         calibration_file.save(path, replace(painted_calibration(), alpha=16.0))
     assert_same(calibration_file.load(path), old)
     assert os.listdir(tmp_path) == ["cal.npz"]
+
+
+@dataclass(frozen=True, eq=False)
+class Warmer(Calibration):
+    """A calibration with a number more, written in one place."""
+
+    warmth: Annotated[float, Meta(ge=0, le=9)] = 1.0
+
+
+def test_a_number_more_is_a_field_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Older files lack it and keep their checksum; its bounds hold for what a file says."""
+    monkeypatch.setattr(calibration_file, "Calibration", Warmer)
+    plain = {field.name: getattr(painted_calibration(), field.name) for field in fields(Calibration)}
+    for warmth in (1.0, 2.5):
+        saved = calibration_file.save(tmp_path / "c.npz", Warmer(**plain, warmth=warmth))
+        assert (saved.crc32 == calibration_file.with_crc(painted_calibration()).crc32) == (warmth == 1.0)
+        loaded: Any = calibration_file.load(tmp_path / "c.npz")
+        assert (loaded.warmth, loaded.crc32) == (warmth, saved.crc32)
+    content = npz.read(str(tmp_path / "c.npz"), "", "")
+    (tmp_path / "c.npz").write_bytes(Content({**content.meta, "warmth": 10.0}, content.arrays).packed())
+    with pytest.raises(ConfigError, match="warmth"):
+        calibration_file.load(tmp_path / "c.npz")
+
+
+_POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+_FIT = {"presses": 1.0, "agreement_mae_mm": 0.1, "position_mae_mm": 0.1}
+_WRONG: list[tuple[str, object]] = [
+    *(("polarity", value) for value in ("x", 1, None)),
+    *(("binarisation", value) for value in ("x", [])),
+    *((name, value) for name in ("skin_radius_mm", "pitch_px", "row_c") for value in ("20", None, True, [], math.nan)),
+    *((name, 1e-300) for name in ("skin_radius_mm", "radius_px", "visible_half_angle_deg")),
+    ("camera_distance_mm", "x"),
+    *(("factors", value) for value in ([], None, {"fast": "1"}, {"fast": math.nan})),
+    *(("error_scales", value) for value in ([], None, {"fast": "1"}, {"fast": math.nan}, {"fast": 0.0}, {"fast": 1e9})),
+    *(("fit", value) for value in ([], {"presses": 1.0}, {**_FIT, "presses": "1"}, {**_FIT, "presses": math.nan})),
+    ("fit", {**_FIT, "fast_depth_mae_mm": 0.1}),
+    ("fit", {**_FIT, "presses": math.inf}),
+    *(("flange_T_sensor", value) for value in ([], None, _POSE[:6], ["0"] * 7, [0.0] * 7, [1e300] * 7)),
+    ("flange_T_sensor", [math.nan, *_POSE[1:]]),
+    *((name, np.zeros(shape, np.uint8)) for name in ("reference_white",) for shape in ((), (3,), (0, 0), (2, 2, 3))),
+    ("reference_grey", np.zeros((7, 9), np.uint8)),
+    ("reference_grey", np.zeros((480, 640), np.float32)),
+]
+
+
+@pytest.fixture(scope="module")
+def content(stored: tuple[Path, Calibration, bytes]) -> Content:
+    return npz.read(str(stored[0]), "calibration", "")
+
+
+def written(path: Path, meta: dict[str, Any], arrays: dict[str, Any]) -> Path:
+    path.write_bytes(Content(meta, arrays).packed())
+    return path
+
+
+@pytest.mark.parametrize(("name", "value"), _WRONG)
+def test_a_right_checksum_of_a_wrong_value_is_refused(
+    tmp_path: Path, content: Content, name: str, value: object
+) -> None:
+    meta, arrays = dict(content.meta), dict(content.arrays)
+    (arrays if isinstance(value, np.ndarray) else meta)[name] = value
+    path = written(tmp_path / "odd.npz", meta, arrays)
+    with pytest.raises(ConfigError, match=r"odd\.npz: .*; calibrate again") as refusal:
+        calibration_file.load(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_nothing_may_be_missing(tmp_path: Path, content: Content) -> None:
+    for name in content.meta:
+        meta = {key: value for key, value in content.meta.items() if key != name}
+        with pytest.raises(ConfigError, match=name):
+            calibration_file.load(written(tmp_path / "odd.npz", meta, dict(content.arrays)))
+    calibration_file.load(written(tmp_path / "whole.npz", dict(content.meta), dict(content.arrays)))
+
+
+def test_a_long_wrong_value_is_one_short_line(tmp_path: Path, content: Content) -> None:
+    for name in ("polarity", "version"):
+        path = written(tmp_path / "odd.npz", {**content.meta, name: "\x1b[31m" + "a" * 5000}, dict(content.arrays))
+        with pytest.raises(ConfigError, match="; calibrate again") as refusal:
+            calibration_file.load(path)
+        assert len(str(refusal.value)) < 500
+        assert str(refusal.value).isprintable()
+
+
+@pytest.mark.parametrize("version", ["../../x", "x\0", 6.5, True, None])
+def test_a_version_that_is_no_number_names_no_file(tmp_path: Path, version: object) -> None:
+    inputs = Inputs(Sensor(20.0, 30.0, 50.0, "bright"), (FREE,))
+    calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
+    content = npz.read(str(tmp_path / "c.npz"), "", "")
+    written(tmp_path / "c.npz", {**content.meta, "version": version}, dict(content.arrays))
+    with pytest.raises(ConfigError, match=r"calibration version .*, expected \d+; calibrate again"):
+        calibrations.load(tmp_path / "c.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["c.npz"]
+
+
+def test_what_it_was_made_of_needs_a_reference_that_is_an_image(tmp_path: Path) -> None:
+    inputs = Inputs(Sensor(20.0, 30.0, 50.0, "bright"), (FREE,))
+    calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
+    content = npz.read(str(tmp_path / "c.npz"), "", "")
+    arrays = {**content.arrays, "reference_grey": np.zeros(7, np.uint8)}
+    written(tmp_path / "c.npz", {**content.meta, "version": 3}, arrays)
+    with pytest.raises(ConfigError, match="expected an image in reference_grey; calibrate again"):
+        calibrations.load(tmp_path / "c.npz")
+
+
+FITTED = FittedNetwork(
+    "a1", np.arange(5, dtype=np.float32), np.ones((2, 3, 3), np.float32), 8, error_mm=0.2, shipped_error_mm=0.4
+)
+FEATURES = np.random.default_rng(0).normal(size=(60, 20)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def model() -> TouchModel:
+    labels = FEATURES[:, :2].astype(np.float64)
+    found = learn(FEATURES, FEATURES[:, :7], ("depth_mm", "force_z_n"), labels, np.arange(60), "ab").model
+    assert found is not None
+    return found
+
+
+def test_networks_and_models_come_back_and_count_in_the_checksum(tmp_path: Path, model: TouchModel) -> None:
+    path, plain = tmp_path / "c.npz", painted_calibration()
+    for fitted in (FITTED, replace(FITTED, error_scale=1.5)):
+        saved = calibration_file.save(path, replace(plain, fitted={"fast": fitted}, touch={"fast": model}))
+        loaded = calibration_file.load(path)
+        assert loaded.crc32 == saved.crc32 != calibration_file.with_crc(plain).crc32
+        for found in (loaded.fitted, calibration_file.fitted_in(path)):
+            assert_same(found["fast"], fitted)
+        for models in (loaded.touch, calibration_file.touch_in(path)):
+            assert_same(models["fast"], model)
+    calibration_file.save(path, plain)
+    assert (calibration_file.fitted_in(path), calibration_file.touch_in(path)) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    ("key", "damage", "message"),
+    [
+        ("fitted", {"correction": [0, 3, 3]}, "as many as"),
+        ("fitted", {"correction": [2, 3, 4]}, "as many as"),
+        ("fitted", {"correction": [2, 3]}, "as many as"),
+        ("fitted", {"layout": 1}, "Expected"),
+        ("fitted", {"more": 1}, "unknown field"),
+        ("fitted", {"error_scale": 0.0}, "Expected"),
+        ("touch", {"names": ["depth_mm", "colour"]}, "other quantities"),
+        ("touch", {"names": ["depth_mm"]}, "expected"),
+        ("touch", {"shapes": {}}, "other arrays"),
+        ("touch", {"shapes": None}, "Expected"),
+        ("touch", {"width": 0.0}, "Expected"),
+        ("touch", {"leverage_max": math.nan}, "Expected"),
+        ("touch", {"scale": "large"}, "Expected"),
+        ("touch", {"more": 1}, "unknown field"),
+    ],
+)
+def test_a_network_or_model_that_cannot_be_is_refused(
+    tmp_path: Path, model: TouchModel, key: str, damage: dict[str, object], message: str
+) -> None:
+    path = tmp_path / "c.npz"
+    calibration_file.save(path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model}))
+    content = npz.read(str(path), "", "")
+    about = {"fast": {**content.meta[key]["fast"], **damage}}
+    written(path, {**content.meta, key: about}, dict(content.arrays))
+    for read in (calibration_file.load, calibration_file.fitted_in if key == "fitted" else calibration_file.touch_in):
+        with pytest.raises(ConfigError, match=f"{message}.*; calibrate again"):
+            read(path)
+
+
+def test_damaged_arrays_of_a_network_or_model_are_refused(tmp_path: Path, model: TouchModel) -> None:
+    path = tmp_path / "c.npz"
+    calibration_file.save(path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model}))
+    content = npz.read(str(path), "", "")
+    for name in [name for name in content.arrays if name.startswith(("fitted", "touch"))]:
+        array = content.arrays[name]
+        for other, message in (
+            (array[:0], "said to be"),
+            (array.astype(np.float64), "said to be|Expected an array"),
+            (np.full_like(array, np.nan), "not finite"),
+        ):
+            written(path, dict(content.meta), {**content.arrays, name: other})
+            with pytest.raises(ConfigError, match=message):
+                calibration_file.load(path)
+        written(path, dict(content.meta), {key: value for key, value in content.arrays.items() if key != name})
+        with pytest.raises(ConfigError, match="said to be"):
+            calibration_file.load(path)

@@ -33,12 +33,18 @@ PRESSES = (
 INPUTS = Inputs(SENSOR, (image(7), image(8)), PRESSES, (image(9),))
 
 
+def read(meta: dict[str, object], arrays: dict[str, object], shape: tuple[int, int] = SHAPE) -> Inputs:
+    found = unpack({"inputs": meta}, {**arrays, "reference_grey": np.zeros(shape, np.uint8)})
+    assert found is not None
+    return found
+
+
 @pytest.mark.parametrize("inputs", [INPUTS, Inputs(SENSOR, (image(7),))])
 def test_what_is_packed_comes_back(inputs: Inputs) -> None:
     packed = pack(inputs)
     assert packed is not None
     assert set(packed[1]) == {IMAGES, TRIANGLES}
-    found = unpack(*packed, SHAPE)
+    found = read(*packed)
     assert found.sensor == inputs.sensor
     for name in ("references", "renewed"):
         np.testing.assert_array_equal(getattr(found, name), getattr(inputs, name))
@@ -56,7 +62,7 @@ def test_an_indenter_is_kept_once() -> None:
     packed = pack(INPUTS)
     assert packed is not None
     assert len(packed[1][TRIANGLES]) == 17
-    found = unpack(*packed, SHAPE)
+    found = read(*packed)
     assert found.presses[1].indenter is found.presses[3].indenter
 
 
@@ -81,22 +87,22 @@ def test_what_cannot_be_is_refused(damage: dict[str, object]) -> None:
     packed = pack(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match=r"[Ee]xpected|unknown field"):
-        unpack({**packed[0], **damage}, packed[1], SHAPE)
+        read({**packed[0], **damage}, packed[1])
 
 
 def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
     packed = pack(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match="expected a grey PNG image of 17x12 px"):
-        unpack(*packed, (12, 17))
+        read(*packed, (12, 17))
     wide = packed[1][IMAGES].copy()
     wide[16:20] = (0, 1, 0, 0)
     with pytest.raises(ValueError, match="expected a grey PNG"):
-        unpack(packed[0], {**packed[1], IMAGES: wide}, SHAPE)
+        read(packed[0], {**packed[1], IMAGES: wide})
     blank = packed[1][IMAGES].copy()
     blank[40:] = 0
     with pytest.raises(ValueError, match="expected a grey PNG"):
-        unpack(packed[0], {**packed[1], IMAGES: blank}, SHAPE)
+        read(packed[0], {**packed[1], IMAGES: blank})
 
 
 @pytest.mark.parametrize("name", [IMAGES, TRIANGLES])
@@ -107,4 +113,4 @@ def test_other_arrays_are_refused(name: str, array: np.ndarray) -> None:
     packed = pack(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match="expected"):
-        unpack(packed[0], {**packed[1], name: array}, SHAPE)
+        read(packed[0], {**packed[1], name: array})

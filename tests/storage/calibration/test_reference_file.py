@@ -13,7 +13,7 @@ from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.calibration import calibration_file, reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.storage.calibration.reference_file import StoredReference, belongs_to, path_beside
-from tacshade_edge.storage.checked_npz import Content
+from tacshade_edge.storage.npz import Content
 from tools.testbed.painted_sensor import painted_calibration
 
 CALIBRATED = painted_calibration()

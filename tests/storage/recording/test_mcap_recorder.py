@@ -16,8 +16,7 @@ from support.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
 
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.storage.recording import mcap_recorder
-from tacshade_edge.storage.recording.mcap.fix import fix_recordings
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder, fix_recordings
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of, events_in

@@ -1,4 +1,4 @@
-"""The frames of a recording in MCAP: our own, with times and poses, or another program's images."""
+"""The frames of a recording in MCAP: our own, with times and poses, or the images of Foxglove or ROS 2."""
 
 from __future__ import annotations
 
@@ -9,12 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import DecodeError as ProtobufError
+from mcap.records import Channel, Message, Schema
+
+from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX, decode_image
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.protocol import ros_image
+from tacshade_edge.protocol.ros_image import PixelRows
 from tacshade_edge.quoting import quoted, shown
-from tacshade_edge.storage.recording.mcap.images import DECODERS, image_of
-from tacshade_edge.storage.recording.mcap.records import McapFile, Message
-from tacshade_edge.storage.recording.mcap.summary import Channel, SchemaName
-from tacshade_edge.storage.recording.mcap.walk import Damage
+from tacshade_edge.storage.recording.mcap.reader import Damage, McapFile
 from tacshade_edge.storage.tables.frame_table import ERROR_US_MAX, T_NS_MAX, UNIT_TOLERANCE, Row
 from tacshade_edge.storage.tables.tables import NUMBER_MAX
 from tacshade_edge.types import U8, Pose
@@ -31,28 +38,11 @@ Picture = Callable[[], U8]
 
 
 class McapFrames:
-    """The images of a recording.
+    """The images of a recording, whose files are in order; leaves out those that are not MCAP, if others are.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The recording's files in order, at least one.
-
-    Attributes
-    ----------
-    cut_off : bool
-        The writer did not end the recording; its whole records are included.
-    damage : str
-        The damage outside the frames, for a person; empty if there is none.
-    length_ns : int
-        Time from the first to the last message on any topic; 0 if a file does not state it.
-    topic : str
-        The topic of the images.
-
-    Raises
-    ------
-    ConfigError
-        A file is not MCAP, or the recording does not have exactly one readable topic of images.
+    `cut_off`: the writer did not end it; its whole records are included. `damage` outside the frames is for a person,
+    empty without any. `length_ns` is from the first to the last message on any topic, 0 if a file does not state it.
+    Raises ConfigError if it does not have exactly one readable topic of images.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -102,7 +92,7 @@ class McapFrames:
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
                 continue
             last_ns = row.t_ns
-            yield row, self._picture(where, schema, encoding, bytes(message.data)), message.log_ns
+            yield row, self._picture(where, schema, encoding, message.data), message.log_time
 
     def _picture(self, where: str, schema: str, encoding: str, payload: bytes) -> Picture:
         def picture() -> U8:
@@ -137,7 +127,7 @@ class McapFrames:
         images = damaged = unknown = 0
         for record in file.records():
             match record:
-                case SchemaName():
+                case Schema():
                     schemas.setdefault(record.id, record)
                 case Channel():
                     channels.setdefault(record.id, record)
@@ -151,7 +141,7 @@ class McapFrames:
                 case Message() if channel.topic == self.topic:
                     images += 1
                     schema = schemas.get(channel.schema_id)
-                    yield path, schema.name if schema else "", channel.encoding, record, about
+                    yield path, schema.name if schema else "", channel.message_encoding, record, about
         if unknown:
             found = f"{unknown} messages on channels that the file does not describe"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping these messages"))
@@ -164,9 +154,9 @@ class McapFrames:
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
         """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
         if not self._is_ours:
-            if message.log_ns > T_NS_MAX:
-                raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
-            return Row(str(count), message.log_ns, None)
+            if message.log_time > T_NS_MAX:
+                raise DecodeError(f"found the time {message.log_time}, expected at most 2^62 ns")
+            return Row(str(count), message.log_time, None)
         if about.get("seq") != message.sequence:
             raise DecodeError(
                 "found no message with this image's time, expected one on the channel `frame` before the image"
@@ -189,18 +179,18 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     damage = ""
     for path in paths:
         with contextlib.closing(McapFile(path)) as file:
-            schemas: dict[int, SchemaName] = {}
+            schemas: dict[int, Schema] = {}
             is_described = False
             for record in _described(file):
                 is_described |= isinstance(record, Channel)
-                if isinstance(record, SchemaName):
+                if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Damage):
                     damage = damage or f"; {record.error}"
                 elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
                     return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
-                    topics |= {record.topic} if (found.name, record.encoding) in DECODERS else set()
+                    topics |= {record.topic} if (found.name, record.message_encoding) in DECODERS else set()
             if not is_described and file.summary is None:
                 damage = damage or f"; {shown(path)} ends before its first whole chunk, so nothing in it can be read"
     if len(topics) == 1:
@@ -211,7 +201,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     raise ConfigError(f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}")
 
 
-def _described(file: McapFile) -> Iterator[SchemaName | Channel | Message | Damage]:
+def _described(file: McapFile) -> Iterator[Schema | Channel | Message | Damage]:
     """The schemas and channels from the summary, or all records of a file without one."""
     if file.summary is not None and file.summary.channels:
         return iter((*file.summary.schemas.values(), *file.summary.channels.values()))
@@ -237,11 +227,67 @@ def _short(value: object) -> str:
     return quoted(json.dumps(value)).strip("'")
 
 
-def _object(payload: memoryview) -> dict[str, Any]:
+def _object(payload: bytes) -> dict[str, Any]:
     if len(payload) > _ABOUT_BYTES_MAX:
         return {}
     try:
-        found = json.loads(bytes(payload))
+        found = json.loads(payload)
     except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+# Encoding to its number of channels and OpenCV's code for the conversion to BGR.
+_ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
+    "mono8": (1, None),
+    "8UC1": (1, None),
+    "bgr8": (3, None),
+    "8UC3": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+}
+
+
+def _compressed(data: bytes) -> U8:
+    return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def _raw(image: PixelRows) -> U8:
+    if image.encoding not in _ENCODINGS:
+        raise DecodeError(f"found the encoding {quoted(image.encoding)}, expected one of {', '.join(_ENCODINGS)}")
+    channels, to_bgr = _ENCODINGS[image.encoding]
+    rows, cols, step = image.height_px, image.width_px, image.step_bytes
+    if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
+        raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px per side")
+    if step < cols * channels or len(image.data) < rows * step:
+        raise DecodeError(f"found {len(image.data)} bytes, expected {rows} rows of {step} bytes")
+    pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[:, : cols * channels]
+    if channels == 1:
+        return pixels.copy()
+    pixels = pixels.reshape(rows, cols, channels)
+    return pixels.copy() if to_bgr is None else np.asarray(cv2.cvtColor(pixels, to_bgr), np.uint8)
+
+
+def _foxglove_raw(payload: bytes) -> U8:
+    message = RawImage.FromString(payload)
+    return _raw(PixelRows(message.height, message.width, message.encoding, message.step, message.data))
+
+
+# (schema, encoding of messages) to a function from payload to pixels.
+DECODERS: Final[dict[tuple[str, str], Callable[[bytes], U8]]] = {
+    ("foxglove.CompressedImage", "protobuf"): lambda payload: _compressed(CompressedImage.FromString(payload).data),
+    ("foxglove.RawImage", "protobuf"): _foxglove_raw,
+    ("sensor_msgs/msg/CompressedImage", "cdr"): lambda data: _compressed(ros_image.decode_compressed_image(data)),
+    ("sensor_msgs/msg/Image", "cdr"): lambda payload: _raw(ros_image.decode_image(payload)),
+}
+
+
+def image_of(schema: str, encoding: str, payload: bytes) -> U8:
+    """The picture in a message, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError."""
+    if (schema, encoding) not in DECODERS:
+        raise DecodeError(f"found a {quoted(schema)} message encoded as {quoted(encoding)}, expected an image message")
+    try:
+        return DECODERS[schema, encoding](payload)
+    except ProtobufError as error:
+        raise DecodeError(f"{schema}: {error}, expected an image") from None

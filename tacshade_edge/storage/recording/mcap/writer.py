@@ -1,21 +1,36 @@
-"""Writes our channels to an MCAP file, in Foxglove's schemas (protobuf) and flat JSON."""
+"""Writes our channels to an MCAP file, in Foxglove's schemas (protobuf) and flat JSON.
+
+Foxglove's lengths and positions are in metres, times in Unix time, as viewers expect. Values read only as numbers stay
+in mm: a pixel of the height image is h in mm. The frames of reference are ``ID/base``, ``ID/flange`` and ``ID/sensor``.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any, BinaryIO, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, BinaryIO, Final, Literal
 
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
-from tacshade_edge.storage.recording.mcap import messages
 from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS
-from tacshade_edge.types import Frame
+from tacshade_edge.types import F32, Frame, ObjectCloud
 from tacshade_edge.version import installed_version
 
 CHUNK_BYTES: Final = 1 << 20
@@ -37,20 +52,10 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
 
 
 class McapWriter:
-    """Writes one MCAP file. The log time and publish time of each message are both the capture's Unix time.
+    """Writes one MCAP file to a buffered stream, with topics ``/tacshade/ID/NAME``.
 
-    Schemas and channels are repeated after each chunk, so that a damaged chunk loses only its own messages.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        Empty and buffered; stays open.
-    sensor_id : str
-        The ``ID`` in the topics ``/tacshade/ID/NAME``.
-    chunk_bytes : int
-        Size at which a chunk is written.
-    compress : bool
-        Whether to compress chunks.
+    The log time and publish time of each message are both the capture's Unix time. Schemas and channels are repeated
+    after each chunk, so that a damaged chunk loses only its own messages.
     """
 
     def __init__(
@@ -72,8 +77,8 @@ class McapWriter:
         about["pose_error_us"] = None if values is None else frame.pose_error_us
         self.write(FRAME, json.dumps(about).encode(), wall_ns, frame.seq)
         if values is not None:
-            self.write("tf", messages.transform(values, "base", "flange", self._sensor_id, wall_ns), wall_ns)
-        self.write(CAMERA, messages.camera(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
+            self.write("tf", transform_message(values, "base", "flange", self._sensor_id, wall_ns), wall_ns)
+        self.write(CAMERA, camera_message(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
 
     def write(self, name: str, payload: bytes, wall_ns: int, seq: int = 0) -> None:
         """Write a message on the channel `name`."""
@@ -104,7 +109,7 @@ class McapWriter:
             title = f"tacshade.{name.capitalize()}"
             schema = {"title": title, "type": "object", "properties": _SCHEMAS[name]}
             return self._channel(name, "json", title, "jsonschema", json.dumps(schema).encode())
-        descriptor = messages.MESSAGES[name].DESCRIPTOR
+        descriptor = MESSAGES[name].DESCRIPTOR
         files: dict[str, FileDescriptor] = {}
         _with_what_it_imports(descriptor.file, files)
         described = FileDescriptorSet()
@@ -132,3 +137,86 @@ def _with_what_it_imports(file: FileDescriptor, found: dict[str, FileDescriptor]
     for other in file.dependencies:
         _with_what_it_imports(other, found)
     found[file.name] = file
+
+
+M_PER_MM: Final = 0.001
+MESSAGES: Final[dict[str, Any]] = {
+    "camera": CompressedImage,
+    "height": RawImage,
+    "cloud": PointCloud,
+    "tf": FrameTransforms,
+    "log": Log,
+}
+ReferenceFrame = Literal["base", "flange", "sensor"]
+_POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
+
+
+def camera_message(png: bytes, sensor_id: str, wall_ns: int) -> bytes:
+    """The message of a captured frame, lossless."""
+    message = CompressedImage(
+        timestamp=_timestamp(wall_ns), frame_id=_frame_id(sensor_id, "sensor"), data=png, format="png"
+    )
+    return bytes(message.SerializeToString())
+
+
+def height_message(height_mm: F32, sensor_id: str, wall_ns: int) -> bytes:
+    """The message of a height map: each cell's h in mm as ``32FC1``; NaN outside the disc."""
+    rows, cols = height_mm.shape
+    message = RawImage(
+        timestamp=_timestamp(wall_ns),
+        frame_id=_frame_id(sensor_id, "sensor"),
+        width=cols,
+        height=rows,
+        encoding="32FC1",
+        step=4 * cols,
+        data=height_mm.astype("<f4", copy=False).tobytes(),
+    )
+    return bytes(message.SerializeToString())
+
+
+def cloud_message(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
+    """The message of a cloud: points in m, each with the number of its object."""
+    points = np.empty(len(touched.labels), _POINT)
+    points["xyz"], points["object"] = touched.points_mm * np.float32(M_PER_MM), touched.labels
+    fields = [
+        PackedElementField(name=axis, offset=4 * i, type=PackedElementField.FLOAT32) for i, axis in enumerate("xyz")
+    ]
+    message = PointCloud(
+        timestamp=_timestamp(wall_ns),
+        frame_id=_frame_id(sensor_id, "sensor"),
+        pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
+        point_stride=_POINT.itemsize,
+        fields=[*fields, PackedElementField(name="object", offset=12, type=PackedElementField.UINT16)],
+        data=points.tobytes(),
+    )
+    return bytes(message.SerializeToString())
+
+
+def transform_message(
+    a_T_b: Sequence[float], parent: ReferenceFrame, child: ReferenceFrame, sensor_id: str, wall_ns: int
+) -> bytes:
+    """The message of `child`'s pose in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x, y, z."""
+    x, y, z, qw, qx, qy, qz = a_T_b
+    one = FrameTransform(
+        timestamp=_timestamp(wall_ns),
+        parent_frame_id=_frame_id(sensor_id, parent),
+        child_frame_id=_frame_id(sensor_id, child),
+        translation=Vector3(x=x * M_PER_MM, y=y * M_PER_MM, z=z * M_PER_MM),
+        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )
+    return bytes(FrameTransforms(transforms=[one]).SerializeToString())
+
+
+def log_message(name: str, text: str, wall_ns: int) -> bytes:
+    """The message of a line in a viewer's log."""
+    message = Log(timestamp=_timestamp(wall_ns), level=Log.INFO, message=text, name=name)
+    return bytes(message.SerializeToString())
+
+
+def _frame_id(sensor_id: str, frame: ReferenceFrame) -> str:
+    return f"{sensor_id}/{frame}"
+
+
+def _timestamp(wall_ns: int) -> Timestamp:
+    seconds, nanos = divmod(wall_ns, 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)

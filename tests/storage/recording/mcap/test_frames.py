@@ -19,8 +19,8 @@ from support.mcap_bytes import CHUNK, described, file_of, flipped, message, reco
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.recording.image_source import FilesSource, first_size_px
-from tacshade_edge.storage.recording.mcap import frames, messages
-from tacshade_edge.storage.recording.mcap.writer import McapWriter
+from tacshade_edge.storage.recording.mcap import frames
+from tacshade_edge.storage.recording.mcap.writer import McapWriter, camera_message
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import U8, Frame, Pose
 
@@ -165,7 +165,7 @@ def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, ke
         if seq == 1:
             text = json.dumps({**about, key: "HERE"}).replace('"HERE"', number)
         writer.write("frame", text.encode(), 90 + seq, seq)
-        writer.write("camera", messages.camera(cv2.imencode(".png", picture(seq))[1].tobytes(), "left", 0), 0, seq)
+        writer.write("camera", camera_message(cv2.imencode(".png", picture(seq))[1].tobytes(), "left", 0), 0, seq)
     writer.finish()
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [90, 92]
@@ -178,7 +178,7 @@ def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
     stream = io.BytesIO()
     writer = McapWriter(stream, "left")
     png = cv2.imencode(".png", picture(0))[1].tobytes()
-    writer.write("camera", messages.camera(png, "left", WALL_NS), WALL_NS, 0)
+    writer.write("camera", camera_message(png, "left", WALL_NS), WALL_NS, 0)
     writer.frame("1.png", frame(1), png, WALL_NS)
     writer.finish()
     frames, refused = every(_written(tmp_path, stream.getvalue()))

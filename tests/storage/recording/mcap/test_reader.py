@@ -10,13 +10,20 @@ import pytest
 pytest.importorskip("mcap")
 import lz4.frame
 import zstandard
+from mcap.records import Message
 from mcap.writer import CompressionType, Writer
-from support.mcap_bytes import MAGIC, chunk, described, file_of, flipped, message, record
+from support.mcap_bytes import FOOTER, MAGIC, chunk, described, file_of, flipped, message, record
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.recording.mcap import records
-from tacshade_edge.storage.recording.mcap.records import McapFile, Message, attachments_in
-from tacshade_edge.storage.recording.mcap.walk import Damage
+from tacshade_edge.storage.recording.mcap.reader import (
+    CHUNK_BYTES_MAX,
+    DESCRIPTION_BYTES_MAX,
+    SUMMARY_BYTES_MAX,
+    Damage,
+    McapFile,
+    Summary,
+    attachments_in,
+)
 
 Pack = Callable[[bytes], bytes]
 PACKINGS: dict[str, Pack] = {
@@ -33,7 +40,7 @@ def read(path: Path, content: bytes) -> tuple[list[int], list[str]]:
     with contextlib.closing(McapFile(path)) as file:
         for found in file.records():
             if isinstance(found, Message):
-                times.append(found.log_ns)
+                times.append(found.log_time)
             elif isinstance(found, Damage):
                 told.append(str(found.error))
     return times, told
@@ -55,7 +62,7 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
         chunk(packed, packing, len(inside) + 1, crc),
         chunk(packed, packing, len(inside) - 1, crc),
         chunk(packed, packing, 2**63, crc),
-        chunk(packed, packing, records.CHUNK_BYTES_MAX + 1, crc),
+        chunk(packed, packing, CHUNK_BYTES_MAX + 1, crc),
         chunk(packed, packing, len(inside), crc ^ 1),
         chunk(packed[:-12], packing, len(inside), crc),
         chunk(b"", packing, len(inside), crc),
@@ -71,7 +78,7 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
 
 @pytest.mark.parametrize("packing", ["zstd", "lz4"])
 def test_a_few_bytes_never_become_millions_of_records(tmp_path: Path, packing: str) -> None:
-    inside = message(b"", 5) * (records.CHUNK_BYTES_MAX // len(message(b"", 5)))
+    inside = message(b"", 5) * (CHUNK_BYTES_MAX // len(message(b"", 5)))
     packed = PACKINGS[packing](inside)
     path = tmp_path / "a.mcap"
     times, told = read(path, file_of(chunk(packed, packing, len(inside), zlib.crc32(inside)) * 2))
@@ -182,3 +189,67 @@ def test_attachments(tmp_path: Path) -> None:
         found, told = attachments_in(path, {"a": 100, "b": 100})
         assert found == {"a": b"last"}
         assert "skipping the damaged" in told[0]
+
+
+def summary_of(path: Path, content: bytes) -> tuple[Summary | None, str]:
+    path.write_bytes(content)
+    with contextlib.closing(McapFile(path)) as file:
+        return file.summary, file.damage
+
+
+def whole(path: Path) -> bytes:
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=10)
+        writer.start()
+        schema = writer.register_schema("a.B", "protobuf", bytes(20_000))
+        channel = writer.register_channel("/cam", "protobuf", schema, {"ours": "yes"})
+        for t_ns in (40, 70, 90):
+            writer.add_message(channel, t_ns, b"something", t_ns)
+        writer.add_attachment(0, 0, "a", "text/plain", b"1")
+        writer.finish()
+    return path.read_bytes()
+
+
+def test_what_the_end_says_of_the_rest(tmp_path: Path) -> None:
+    content = whole(tmp_path / "a.mcap")
+    summary, damage = summary_of(tmp_path / "a.mcap", content)
+    assert summary is not None
+    assert damage == ""
+    assert {schema.name for schema in summary.schemas.values()} == {"a.B"}
+    assert [(found.topic, found.message_encoding, found.metadata) for found in summary.channels.values()] == [
+        ("/cam", "protobuf", {"ours": "yes"})
+    ]
+    assert (summary.counts, summary.span_ns, summary.in_chunks) == ({1: 3}, (40, 90), True)
+    assert [content[start] for start in summary.starts] == [6, 6, 6, 9]
+
+
+def test_every_flipped_bit_of_it_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    content = whole(path)
+    footer_at = len(content) - 37
+    assert content[footer_at] == FOOTER
+    begin = int.from_bytes(content[footer_at + 9 : footer_at + 17], "little")
+    for byte in (*range(begin, begin + 40), *range(footer_at - 60, footer_at + 29)):
+        summary, damage = summary_of(path, flipped(content, byte, byte % 8))
+        assert summary is None
+        assert damage == f"{path}: ignoring the damaged index at its end"
+
+
+def test_what_lies_behind_a_right_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    data = described() + message(b"a", 7)
+    for junk in (b"x", record(3, b"\xff" * 30), record(4, b"\xff" * 30), record(11, bytes(45)), record(8, bytes(3))):
+        summary, damage = summary_of(path, file_of(data, junk))
+        assert summary is None
+        assert "ignoring the damaged index" in damage
+    summary, damage = summary_of(path, file_of(data, record(0x81, bytes(SUMMARY_BYTES_MAX))))
+    assert summary is None
+    assert damage == f"{path}: ignoring the index at its end, which exceeds 16 MiB"
+
+
+def test_descriptions_are_bounded(tmp_path: Path) -> None:
+    content = file_of(described(topic="/" + "a" * DESCRIPTION_BYTES_MAX) + described() + message(b"a", 5))
+    times, told = read(tmp_path / "a.mcap", content)
+    assert times == [5]
+    assert len(told) == 1
+    assert "skipping the damaged record" in told[0]

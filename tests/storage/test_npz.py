@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from numpy.lib import format as npy
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage import checked_npz
-from tacshade_edge.storage.checked_npz import BYTES_MAX, Content
+from tacshade_edge.storage import npz
+from tacshade_edge.storage.npz import BYTES_MAX, Content
 
 CONTENT = Content({"version": 1}, {"image": np.arange(12, dtype=np.uint8).reshape(3, 4), "h": np.eye(2, order="F")})
 
 
 def read(path: Path, data: bytes) -> Content:
     path.write_bytes(data)
-    return checked_npz.read(str(path), "calibration", "somebody")[0]
+    return npz.read(str(path), "calibration", "somebody")
 
 
 def packed(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
@@ -97,7 +97,7 @@ def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path,
 def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "c.npz")
     with pytest.raises(ConfigError, match=r"c\.npz: cannot read the calibration: found no regular file; expected a fi"):
-        checked_npz.read(str(tmp_path / "c.npz"), "calibration", "somebody")
+        npz.read(str(tmp_path / "c.npz"), "calibration", "somebody")
 
 
 @given(st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=3))
