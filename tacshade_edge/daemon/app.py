@@ -36,7 +36,7 @@ from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, checks, links, ports, sources
+from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import codec, messages, requests
@@ -117,7 +117,7 @@ def make_optional_parts(
     sessions: SessionRequests | None = None
     finger: FingerReporter | None = None
     follows = siblings.robot is not None and siblings.robot.hears is not None
-    port = None if follows else ports.make_serial_port(settings.serial)
+    port = None if follows else sources.make_serial_port(settings.serial)
     if port or follows:
         from tacshade_edge.daemon.robot import Robot  # imports pyserial
 
@@ -476,7 +476,7 @@ def reload(running: Document, *, calibrated: bool) -> Reloaded:
     Raises ConfigError if the settings are bad, or the calibration does not fit the running source.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
-    checks.check_files(new)
+    sources.check_files(new)
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))

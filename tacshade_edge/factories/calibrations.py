@@ -30,18 +30,8 @@ _log = logging.getLogger(__name__)
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     """Load a calibration; one of another version is recalibrated if it keeps its images.
 
-    The result has the fitted networks that can run; the log names the others.
-
-    Parameters
-    ----------
-    path : str
-    store : bool
-        Replace the file by a recalibrated one, and keep the old file next to it.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be used.
+    The result has the fitted networks that can run; the log names the others. With `store`, the recalibrated one
+    replaces the file, and the old file stays next to it. Raises ConfigError if the file cannot be used.
     """
     version = calibration_file.version_of(path)
     inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
@@ -119,10 +109,7 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
 def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
     """Load the calibration as `load_calibration` does; without a file return a reason that explains how to make one.
 
-    Raises
-    ------
-    ConfigError
-        The file exists but cannot be used.
+    Raises ConfigError if the file exists but cannot be used.
     """
     path = document.settings.calibration
     try:
@@ -145,12 +132,7 @@ def how_to_calibrate(document: Document) -> str:
 
 
 def load_calibration(document: Document, *, store: bool = False) -> Calibration:
-    """Load the calibration that the settings name, and check that it fits the source; for `store` see `load`.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Load the calibration that the settings name, and check that it fits the source. Raises ConfigError."""
     settings = document.settings
     try:
         calibration = load(settings.calibration, store=store)

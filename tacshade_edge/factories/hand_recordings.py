@@ -20,7 +20,7 @@ from tacshade_edge.protocol.topics import Finger, HandObjects
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.settings import Settings, json_schema
 from tacshade_edge.settings.load import read_struct
-from tacshade_edge.settings.placed import wrong_with
+from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
 
@@ -30,10 +30,7 @@ _log = logging.getLogger(__name__)
 def recorded_settings(content: dict[str, bytes]) -> Settings | None:
     """The settings of the sensor that a recording was made with; None if it has none.
 
-    Raises
-    ------
-    ConfigError
-        The settings are of another version of this program.
+    Raises ConfigError if they are of another version of this program.
     """
     if SETTINGS_NAME not in content:
         return None
@@ -46,17 +43,10 @@ def recorded_settings(content: dict[str, bytes]) -> Settings | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandRecording:
-    """The result of reading several recordings of a hand.
+    """Several recordings of a hand: its fingers in their order, and its messages, each made when the caller requests
+    it.
 
-    Attributes
-    ----------
-    hand_id : str
-    fingers : tuple of str
-        In the order of the recordings.
-    messages : iterator of HandObjects
-        Each is made when the caller requests it.
-    unread : list of str
-        Gets a line for each image that cannot be read, as the log does.
+    `unread` gets a line for each image that cannot be read, as the log does.
     """
 
     hand_id: str
@@ -92,11 +82,7 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
     """Read recordings of several fingers, made at the same time on one board.
 
     Each needs its own calibration and the settings of a hand's finger. The log reports damaged and cut-off recordings.
-
-    Raises
-    ------
-    ConfigError
-        A recording lacks these, two are of one sensor, or they are of several hands.
+    Raises ConfigError if a recording lacks these, two are of one sensor, or they are of several hands.
     """
     fingers: dict[str, _Recorded] = {}
     hands, unread = set[str](), list[str]()

@@ -63,11 +63,8 @@ def make_link(
 def make_hand_link(
     hand: Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
 ) -> MqttLink:
-    """Make the link for the hand's own topics, without starting it; no sensor can have its client id.
-
-    Raises
-    ------
-    ConfigError
+    """Make the link for the hand's own topics, without starting it; no sensor can have its client id. Raises
+    ConfigError.
     """
     hand_id = hand.hand_id
     return _link(hand.common, f"tacshade/hand/{hand_id}", f"tacshade-hand.{hand_id}", on_request, on_outcome)

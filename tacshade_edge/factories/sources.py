@@ -1,10 +1,10 @@
-"""The frame source that the settings name, and the checks that do not open it."""
+"""The frame source and the robot's port that the settings name, and the checks that do not open them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -13,8 +13,11 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.settings import Document, Files, Rpicam, Settings, Simulated, Source, V4l2
+from tacshade_edge.settings import Document, Files, Rpicam, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.storage.tables.frame_table import table_in
+
+if TYPE_CHECKING:
+    from tacshade_edge.devices.serial.port import SerialPort
 
 
 def _v4l2(source: V4l2) -> FrameSource:
@@ -91,3 +94,33 @@ def first_size(document: Document, source: Files) -> tuple[int, int] | None:
         return first_size_px(Path(source.path))
     except ConfigError as error:
         raise ConfigError(f"{document.where('source', 'path')}: {error}") from None
+
+
+def make_serial_port(settings: Serial | None) -> SerialPort | None:
+    """Make the robot's port that the settings name, without opening it; None, without pyserial, if there is none."""
+    if settings is None:
+        return None
+    from tacshade_edge.devices.serial.port import SerialPort
+
+    return SerialPort(settings.device, settings.baud)
+
+
+def check_serial(document: Document) -> None:
+    """Check that the robot's port, if present, is a serial device. Raises ConfigError."""
+    if (settings := document.settings.serial) is None:
+        return
+    from tacshade_edge.devices.serial.port import check_kind
+
+    try:
+        check_kind(settings.device)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('serial', 'device')}: {error}") from None
+
+
+def check_files(document: Document) -> None:
+    """Check the paths of the source and the serial port, and the broker's files. Raises ConfigError."""
+    from tacshade_edge.factories import links
+
+    check_source(document)
+    links.check_broker_files(document)
+    check_serial(document)

@@ -33,10 +33,7 @@ SHEAR = "shear"
 def load_network(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
     """Load a shipped network (`Profile.network`) and that of shear, or fitted ones; for one thread at a time.
 
-    Raises
-    ------
-    ValueError
-        The fitted weights have another layout.
+    Raises ValueError if the fitted weights have another layout.
     """
     return read_network(WEIGHTS / f"{name}.onnx", fitted, fitted_shear)
 

@@ -29,16 +29,8 @@ class LabelledFrame:
 class TouchResult:
     """What a profile learnt from a table.
 
-    Attributes
-    ----------
-    profile : str
-    learnt : LearntTouch
-    names : tuple of str
-        Frames that were used; the reports number them.
-    left_out : tuple of str
-        A line for each frame that was not used, with the reason.
-    too_few : mapping of str to (int, int)
-        Rows and groups of each quantity that has too few.
+    `names` are the frames that were used, which the reports number; `left_out` has a line for each other one; `too_few`
+    are the rows and groups of each quantity that has too few.
     """
 
     profile: str

@@ -1,11 +1,23 @@
-"""Loads a settings file as `Settings` and reports the line of every mistake."""
+"""Loads a settings file as `Settings` and reports the line of every mistake.
+
+A file may have several sensors: keys outside ``sensors`` apply to all, keys in a sensor to that one. With ``hand_id``
+next to ``sensors`` they are the fingers of a hand, and each has its ``hand_T_sensor``.
+
+::
+
+    mqtt: {host: localhost}
+    profile: balanced
+    sensors:
+      left-thumb: {calibration: thumb.npz, source: {kind: v4l2, device: /dev/v4l/by-id/thumb}}
+      left-index: {calibration: index.npz, source: {kind: v4l2, device: /dev/v4l/by-id/index}, profile: fast}
+"""
 
 from __future__ import annotations
 
 import copy
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +32,7 @@ from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import (
     FINGER,
     HAND,
+    OWN,
     RENAMED,
     SENSORS,
     Files,
@@ -29,9 +42,8 @@ from tacshade_edge.settings.model import (
     Source,
     V4l2,
     json_schema,
+    wrong_with,
 )
-from tacshade_edge.settings.placed import wrong_with
-from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 T = TypeVar("T")
@@ -41,17 +53,9 @@ _MISTAKES_MAX = 50  # found one after another; further ones appear when these ar
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A valid settings file.
+    """A valid settings file; relative paths in it are made absolute from its folder.
 
-    Attributes
-    ----------
-    path : Path
-    settings : Settings
-        All paths are absolute; relative ones start at the file's folder.
-    found : dict
-        The place of each given key.
-    several : bool
-        The file has a ``sensors`` key.
+    `found` is the place of each given key; `several`: the file has a ``sensors`` key.
     """
 
     path: Path
@@ -66,15 +70,8 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """The hand that a file's sensors form.
-
-    Attributes
-    ----------
-    common : Document
-        The settings outside ``sensors``: the broker, as the hand itself logs in.
-    hand_id : str
-    fingers : tuple of str
-        The sensors' ids, in the file's order.
+    """The hand that a file's sensors form; `common` are the settings outside ``sensors``: the broker, as the hand logs
+    in.
     """
 
     common: Document
@@ -85,10 +82,7 @@ class Hand:
 def load(path: Path, sensor_id: str | None = None) -> Document:
     """Read and check a settings file and return one sensor's document; without `sensor_id` there must be only one.
 
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: path.to.key: found …, expected …``.
+    Raises ConfigError with all mistakes, ``FILE:LINE: path.to.key: found …, expected …``.
     """
     documents = load_all(path)
     if sensor_id is None and len(documents) == 1:
@@ -197,13 +191,7 @@ def to_yaml(settings: Settings) -> str:
 
 
 def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, dict[Key, Found]]:
-    """Read a YAML file as one msgspec struct with the JSON Schema `schema`.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: path.to.key: found …, expected …``.
-    """
+    """Read a YAML file as one msgspec struct with the JSON Schema `schema`. Raises ConfigError like `load`."""
     value, found, mistakes = strict_yaml.read(path)
     struct, wrong = _converted(path, value, found, kind, schema)
     strict_yaml.refuse(mistakes + wrong)
@@ -375,3 +363,91 @@ def expectation(schema: dict[str, Any], given: object = None) -> str:
         text += f" above {schema['exclusiveMinimum']}" + (f" to {schema['maximum']}" if "maximum" in schema else "")
     described = schema.get("description")
     return f"{text} ({described})" if described and "properties" not in schema else text
+
+
+SENSORS_MAX = 16
+_NEEDED = ("calibration", "source")  # required, because all sensors would share the defaults
+_FOLDERS = ("recorder", "stitching")
+
+Part = tuple[dict[str, Any], dict[Key, Found]]
+
+
+def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[list[Part], list[Mistake]]:
+    """Split a file into one part per sensor, each like a file of that sensor alone, and find the whole's mistakes."""
+    mistakes: list[Mistake] = []
+
+    def wrong(key: Key, problem: str) -> None:
+        line = found[key].line if key in found else None
+        where = f"{path}:{line}: " if line else f"{path}: "
+        mistakes.append(Mistake(key, f"{where}{dotted(key)}: {problem}", line))
+
+    sensors = value[SENSORS]
+    if not isinstance(sensors, dict) or not 1 <= len(sensors) <= SENSORS_MAX:
+        count = len(sensors) if isinstance(sensors, dict) else found[(SENSORS,)].text
+        wrong((SENSORS,), f"found {count}, expected 1 to {SENSORS_MAX} sensors, each its id and its settings")
+        return [], mistakes
+    common = {key: of_key for key, of_key in value.items() if key != SENSORS}
+    for key in [key for key in common if key in OWN]:
+        wrong((key,), f"found beside {SENSORS}, expected in each of them")
+        del common[key]
+    parts, places, bauds = [], dict[str, str](), dict[str, tuple[object, str]]()
+    for sensor_id, own in sensors.items():
+        at = (SENSORS, sensor_id)
+        if not isinstance(own, dict):
+            wrong(at, f"found {found[at].text}, expected a mapping of settings")
+            continue
+        if "sensor_id" in own:
+            wrong((*at, "sensor_id"), f"found a second id, expected {sensor_id} alone")
+        if HAND in own:
+            wrong((*at, HAND), f"found in a sensor, expected beside {SENSORS}")
+        for key in (*_NEEDED, *[FINGER] * (common.get(HAND) is not None)):
+            if key not in own:
+                wrong((*at, key), "found nothing, expected one of its own")
+        for key, place in _places(own).items():
+            if place in places:
+                wrong((*at, key), f"found the same as in {places[place]}, expected another")
+            places.setdefault(place, dotted((*at, key)))
+        of_serial = _over(common, own).get("serial")
+        if isinstance(of_serial, dict) and "device" in of_serial:
+            first = bauds.setdefault(str(of_serial["device"]), (of_serial.get("baud"), sensor_id))
+            if of_serial.get("baud") != first[0]:
+                wrong((*at, "serial"), f"found a different baud, expected that of {SENSORS}.{first[1]} on this port")
+        of_one = {key: where for key, where in found.items() if key[:1] != (SENSORS,)}
+        of_one |= {key[2:]: replace(where, at=at) for key, where in found.items() if key[:2] == at}
+        of_one["sensor_id",] = Found(found[at].line, sensor_id, at)
+        parts.append(({**_over(common, own), "sensor_id": sensor_id}, of_one))
+    return parts, mistakes
+
+
+def _over(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """The common settings overridden by a sensor's own, key by key within a section that both have."""
+    both = {
+        key: {**common[key], **own[key]} for key in common.keys() & own.keys() if _are_mappings(common[key], own[key])
+    }
+    return {**common, **own, **both}
+
+
+def _are_mappings(*values: object) -> bool:
+    return all(isinstance(value, dict) for value in values)
+
+
+def _places(own: dict[str, Any]) -> dict[str, str]:
+    """Settings that sensors cannot share: the calibration (with its reference) and the camera."""
+    found = {"calibration": f"calibration {own['calibration']}"} if "calibration" in own else {}
+    of_source = own.get("source")
+    for name in ("device", "camera"):
+        if isinstance(of_source, dict) and name in of_source:
+            found["source"] = f"source {name} {of_source[name]}"
+    return found
+
+
+def own_folders(settings: Settings, found: dict[Key, Found]) -> Settings:
+    """Put a sensor's folders below the common ones, named by its id, unless the sensor names its own."""
+    changed = {}
+    for section in _FOLDERS:
+        where = found.get((section, "folder"))
+        if where is None or not where.at:
+            of_section = getattr(settings, section)
+            folder = str(Path(of_section.folder) / settings.sensor_id)
+            changed[section] = msgspec.structs.replace(of_section, folder=folder)
+    return msgspec.structs.replace(settings, **changed)

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Any, Literal
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta
 
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.protocol.broker_address import HOST
-from tacshade_edge.settings.placed import Placed
+
+Placed = Annotated[list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")]
+
+_UNIT_TOLERANCE: Final = 1e-3
+_PLACE_MAX_MM: Final = 1e6
+
+
+def wrong_with(seven: Sequence[float]) -> str | None:
+    """The mistake in seven numbers that their type cannot find, ``found …, expected …``; None if there is none."""
+    away_mm = max(abs(value) for value in seven[:3])
+    if away_mm > _PLACE_MAX_MM:
+        return f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"
+    norm = math.sqrt(sum(q * q for q in seven[3:]))
+    if abs(norm - 1) > _UNIT_TOLERANCE:
+        return f"found a quaternion of length {norm:.4g}, expected length 1"
+    return None
 
 
 class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="v4l2"):
@@ -63,7 +80,7 @@ class Simulated(
 Source = V4l2 | Rpicam | Files | Simulated
 
 SENSORS = "sensors"
-"""The key of a file with several sensors (`settings.several`)."""
+"""The key of a file with several sensors (`settings.load`)."""
 OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 """Keys that sensors cannot share."""
 HAND, FINGER = "hand_id", "hand_T_sensor"

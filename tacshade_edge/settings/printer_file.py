@@ -29,13 +29,7 @@ class PrinterFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def read_printer(path: Path) -> PrinterFile:
-    """Read PRINTER.yaml.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: key: found …, expected …``.
-    """
+    """Read PRINTER.yaml. Raises ConfigError."""
     schema = msgspec.json.schema(PrinterFile)
     root: dict[str, Any] = {**schema["$defs"]["PrinterFile"], "$defs": schema["$defs"]}
     given, found = read_struct(path, PrinterFile, root)

@@ -12,7 +12,7 @@ from msgspec import Meta
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.load import expectation, read_struct
-from tacshade_edge.settings.placed import Placed, wrong_with
+from tacshade_edge.settings.model import Placed, wrong_with
 from tacshade_edge.types import IDENTITY_POSE, Disc
 
 
@@ -52,13 +52,7 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 def check_value(key: str, text: str) -> float | str:
-    """Check and return the value that a person typed for a key of SENSOR.yaml.
-
-    Raises
-    ------
-    ConfigError
-        ``key: found …, expected …``.
-    """
+    """Check and return the value that a person typed for a key of SENSOR.yaml. Raises ConfigError."""
     kinds = {field.name: field.type for field in msgspec.structs.fields(SensorFile)}
     try:
         value = float(text)
@@ -77,13 +71,7 @@ def _converted(key: str, text: str, value: float | str, kind: Any) -> float | st
 
 
 def read_sensor(path: Path) -> Sensor:
-    """Read SENSOR.yaml.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: key: found …, expected …``.
-    """
+    """Read SENSOR.yaml. Raises ConfigError."""
     schema = msgspec.json.schema(SensorFile)
     root: dict[str, Any] = {**schema["$defs"]["SensorFile"], "$defs": schema["$defs"]}
     given, found = read_struct(path, SensorFile, root)
@@ -102,18 +90,9 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def with_visible_circle(text: str, circle: Disc | None) -> str:
-    """Replace or remove the visible circle in the text of a SENSOR.yaml, leaving every other line unchanged.
+    """Replace or remove the visible circle in the text of a valid SENSOR.yaml, leaving every other line unchanged.
 
-    Parameters
-    ----------
-    text : str
-        Content of a valid SENSOR.yaml.
-    circle : Disc or None
-
-    Raises
-    ------
-    ConfigError
-        The text is not laid out with one key per line.
+    Raises ConfigError if the text is not laid out with one key per line.
     """
     key = "visible_circle"
     keys = None if circle is None else {"row_px": circle.row_c, "col_px": circle.col_c, "radius_px": circle.radius_px}

@@ -35,16 +35,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A mistake in the value of a key.
-
-    Attributes
-    ----------
-    key : Key
-    text : str
-        ``FILE:LINE: path.to.key: found …, expected …``.
-    line : int or None
-        None if the key is missing.
-    """
+    """A mistake in the value of a key, ``FILE:LINE: path.to.key: found …``; the line is None if the key is missing."""
 
     key: Key
     text: str
@@ -80,18 +71,11 @@ class _Loader(yaml.SafeLoader):
 
 
 def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
-    """Read a YAML file.
+    """Read a YAML file: the document without its wrong values, the place of each key, and the values outside the
+    subset.
 
-    Returns
-    -------
-    value : the document as dicts, lists and scalars, without the wrong values
-    found : the place of each key path; list indices are keys too, and the whole document is ``()``
-    mistakes : values outside the subset
-
-    Raises
-    ------
-    ConfigError
-        The file is unreadable, not YAML, or entirely outside the subset; the text begins with ``FILE:LINE:``.
+    List indices are keys too, and the whole document is ``()``. Raises ConfigError, ``FILE:LINE: …``, if the file is
+    unreadable, not YAML, or entirely outside the subset.
     """
     try:
         data = read_regular(path, _BYTES_MAX)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import load, strict_yaml
-from tacshade_edge.settings.indenters_file import read_indenters_file
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.storage.tables.indenters import read_indenters_file
 
 SENSOR = "skin_radius_mm: {}\nvisible_half_angle_deg: 50\npolarity: bright\n"
 PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [{}, 200]\nstart_mm: [110, 110, 90]\nfeed_mm_s: 50\n"

@@ -37,9 +37,9 @@ from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session
+from tacshade_edge.storage.tables.frame_table import read_poses
 from tacshade_edge.storage.tables.indenters import read_indenters
 from tacshade_edge.storage.tables.labels import read_labels
-from tacshade_edge.storage.tables.poses_table import read_poses
 from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.storage.tables.presses import read_presses
 from tacshade_edge.types import Frame, Pose

@@ -18,7 +18,7 @@ from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.storage.tables.label_folder import LabelFolder, LabelRow
+from tacshade_edge.storage.tables.labels import LabelFolder, LabelRow
 from tacshade_edge.storage.tables.tables import number
 from tacshade_edge.types import F32, QUANTITIES, Frame
 

@@ -33,14 +33,14 @@ from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.factories import ports, sources
+from tacshade_edge.factories import sources
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
 from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
-from tacshade_edge.storage.tables.label_folder import LABELS, LabelFolder
+from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
 from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import Disc, Frame, Pose
 
@@ -182,7 +182,7 @@ def _run(
 @contextlib.contextmanager
 def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
     """Serve the robot's serial line as the daemon does, but requests have no effect; yields None without a robot."""
-    if serial is None or (port := ports.make_serial_port(serial)) is None:
+    if serial is None or (port := sources.make_serial_port(serial)) is None:
         yield None
         return
     from tacshade_edge.daemon.robot import Robot
@@ -213,7 +213,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     if path is not None:
         document = load(path, args.sensor)
         sources.check_source(document)
-        ports.check_serial(document)
+        sources.check_serial(document)
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             found = f"found another source in {document.where('source')}"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tacshade_edge.cli.shared.options import DEFAULT_CONFIG
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, links, ports, sources
+from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
     checks: tuple[Callable[[Document], object], ...]
-    checks = (sources.check_source, ports.check_serial, _check_broker, calibrations.find_calibration)
+    checks = (sources.check_source, sources.check_serial, _check_broker, calibrations.find_calibration)
     for document in documents:
         for check in checks:
             try:

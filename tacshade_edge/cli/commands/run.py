@@ -13,7 +13,7 @@ from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_config
 from tacshade_edge.daemon.app import ALONE, App, Siblings
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
-from tacshade_edge.factories import calibrations, checks, sources
+from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
             return EXIT_STOPPED
         document, name = mine, mine.settings.sensor_id
         siblings = Siblings(lines.fingers.get(name), shared_lines.get(name))
-    checks.check_files(document)
+    sources.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
     app = App(document, sources.make_source(document.settings.source), calibration, siblings)
     stopped: list[int] = []

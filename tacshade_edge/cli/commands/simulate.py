@@ -28,7 +28,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import png
-from tacshade_edge.storage.tables import poses_table, presses
+from tacshade_edge.storage.tables import frame_table, presses
 from tacshade_edge.studies.parallel import reported_map, workers
 
 REFERENCES = 8
@@ -247,7 +247,7 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     noisy = pads.disturbed(poses, radius_mm, _NOISE_MM, _NOISE_DEG, seed)
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
-        _write_csv(folder / table, poses_table.HEADER, rows)
+        _write_csv(folder / table, frame_table.POSES_HEADER, rows)
     bars = [(b.x0_mm, b.y0_mm, b.x1_mm, b.y1_mm, b.width_mm) for b in pad.bulges if isinstance(b, pads.Bar)]
     arcs = [b for b in pad.bulges if isinstance(b, pads.Arc) and b.to_deg - b.from_deg >= 360]
     circles = [(a.x_mm, a.y_mm, a.radius_mm, a.width_mm) for a in arcs]

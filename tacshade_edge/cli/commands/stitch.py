@@ -26,7 +26,7 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.map_files import FLANGE, press_record, write_flange, write_map
-from tacshade_edge.storage.tables.poses_table import read_poses
+from tacshade_edge.storage.tables.frame_table import read_poses
 from tacshade_edge.studies.stitch.presses import (
     Press,
     all_points,

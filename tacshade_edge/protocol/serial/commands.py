@@ -97,7 +97,7 @@ class SyncChanged:
 
 @dataclass(frozen=True, slots=True)
 class TouchAsked:
-    """The arguments of ``TOUCH ON``: some of `types.touch.QUANTITIES`, and the greatest number of events per second."""
+    """The arguments of ``TOUCH ON``: some of `types.QUANTITIES`, and the greatest number of events per second."""
 
     names: tuple[str, ...]
     rate_hz: int

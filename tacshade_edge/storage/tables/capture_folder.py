@@ -51,22 +51,9 @@ class TakenPress:
 
 
 def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float) -> Stated:
-    """Check the statements about a press.
+    """Check a press's ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none.
 
-    Parameters
-    ----------
-    where : str
-        The place, for messages.
-    columns : sequence of str
-        ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none.
-    names : collection of str
-        Names of the indenters in addition to the ball.
-    skin_radius_mm : float
-
-    Raises
-    ------
-    ConfigError
-        ``WHERE: column: found …, expected …``.
+    `names` are indenters in addition to the ball. Raises ConfigError, ``WHERE: column: found …, expected …``.
     """
     indenter, radius_text, depth_text, x_text, y_text, *more = columns
     if indenter != BALL and indenter not in names:
@@ -110,13 +97,7 @@ def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indente
 
 
 def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:
-    """Read a plan of presses from a table like PRESSES.csv; its images are ignored.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: column: found …, expected …``.
-    """
+    """Read a plan of presses from a table like PRESSES.csv; its images are ignored. Raises ConfigError."""
     rows, _ = press_rows(path)
     if not rows:
         raise ConfigError(f"{path}: found no press, expected at least one")
@@ -135,31 +116,8 @@ class CaptureFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-
-    @property
-    def sensor(self) -> Path:
-        """The path of SENSOR.yaml."""
-        return self.path / SENSOR
-
-    @property
-    def settings(self) -> Path:
-        """The path of the daemon's settings, with the chosen camera settings."""
-        return self.path / SETTINGS
-
-    @property
-    def presses(self) -> Path:
-        """The path of PRESSES.csv."""
-        return self.path / PRESSES
-
-    @property
-    def indenters(self) -> Path:
-        """The path of INDENTERS.yaml, which may be missing."""
-        return self.path / INDENTERS
-
-    @property
-    def printer(self) -> Path:
-        """The path of PRINTER.yaml, the description of a machine that presses."""
-        return self.path / PRINTER
+        self.sensor, self.settings = path / SENSOR, path / SETTINGS
+        self.presses, self.indenters, self.printer = path / PRESSES, path / INDENTERS, path / PRINTER
 
     def make(self) -> None:
         """Make the folder if it does not exist."""
@@ -194,13 +152,7 @@ class CaptureFolder:
             raise ConfigError(str(error)) from None
 
     def taken(self) -> list[TakenPress]:
-        """The rows of PRESSES.csv; none without a table.
-
-        Raises
-        ------
-        ConfigError
-            ``FILE:LINE: …``.
-        """
+        """The rows of PRESSES.csv; none without a table. Raises ConfigError."""
         if not self.presses.exists():
             return []
         taken = []

@@ -1,4 +1,4 @@
-"""The table of a recording's frames: their order, time stamps and poses."""
+"""Tables of images with poses: a recording's frames (frames.csv), and POSES.csv of ``stitch``."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from typing import overload
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import quoted
+from tacshade_edge.regular_files import named_file
+from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.storage.atomic_files import part
-from tacshade_edge.storage.tables.tables import CRC_COLUMN, iter_rows, number
+from tacshade_edge.storage.tables.tables import CRC_COLUMN, iter_rows, number, read_columns
 from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
@@ -38,12 +40,8 @@ class Row:
 class FrameTable(Sequence[Row]):
     """The rows of a table, packed: one `Row` object each would take three times the memory.
 
-    Attributes
-    ----------
-    damaged : int
-        Number of lines left out because their checksum does not match.
-    first_damaged : str
-        ``FILE:LINE`` of the first of them; empty if there is none.
+    `damaged` counts the lines left out because their checksum does not match; `first_damaged` is the first one's
+    ``FILE:LINE``.
     """
 
     def __init__(self) -> None:
@@ -103,12 +101,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven pose columns of a row are all filled or all empty.
 
     ``pose_error_us`` may follow; empty means 0. ``crc32`` may follow that; lines that do not match it are left out and
-    counted. With `cut_off`, an unterminated last line is left out, as in a recording whose writer crashed.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row, or more than `ROWS_MAX`.
+    counted. With `cut_off`, an unterminated last line is left out, as in a recording whose writer crashed. Raises
+    ConfigError for a mistake, time stamps that do not increase, no row, or more than `ROWS_MAX`.
     """
     rows = FrameTable()
     last_ns = -1
@@ -155,3 +149,40 @@ def _row(where: str, columns: list[str]) -> Row:
 
 def _whole(text: str, most: int) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= most
+
+
+POSES_HEADER = ("image", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+POSES_MAX = 100_000
+_POSES_UNIT = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PosedImage:
+    """A line of the table; `where` is ``FILE:LINE``."""
+
+    where: str
+    path: Path
+    base_T_flange: Rigid
+
+
+def read_poses(path: Path) -> list[PosedImage]:
+    """Read the table but not its images, whose paths are relative to it.
+
+    Raises ConfigError for a mistake (``FILE:LINE: column: found …, expected …``), or if the table has no row.
+    """
+    table = read_columns(path, POSES_HEADER, (), "poses", rows_max=POSES_MAX)
+    if table.unknown:
+        raise ConfigError(f"{path}:1: {table.unknown[0]}: found an unknown column, expected {','.join(POSES_HEADER)}")
+    if not table.rows:
+        raise ConfigError(f"{path}: found no rows, expected one per image")
+    return [_posed(path, where, table.with_points(row)) for where, row in table.rows]
+
+
+def _posed(path: Path, where: str, row: dict[str, str]) -> PosedImage:
+    values = [number(where, column, row[column]) for column in POSES_HEADER[1:]]
+    norm = math.hypot(*values[3:])
+    if abs(norm - 1) > _POSES_UNIT:
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
+    if not row["image"]:
+        raise ConfigError(f"{where}: image: found nothing, expected a file name")
+    return PosedImage(where, named_file(path.parent, row["image"]), from_seven(values))

@@ -1,45 +1,83 @@
-"""Reads INDENTERS.yaml and its meshes, for ``tacshade-edge calibrate``; writes a folder of printable indenters."""
+"""INDENTERS.yaml and its meshes: the shapes that PRESSES.csv names; and a folder of printable indenters."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 import yaml
+from msgspec import Meta
 
 from tacshade_edge.core.calibration import indenters as shapes
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.printable import planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.regular_files import named_file
-from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
+from tacshade_edge.settings import strict_yaml
+from tacshade_edge.settings.load import as_struct
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.tables.presses import HEADER
+
+_Length = Annotated[float, Meta(gt=0, le=500)]
+
+REQUIRED: dict[str, tuple[str, ...]] = {
+    "ball": ("radius_mm",),
+    "cylinder": ("radius_mm",),
+    "box": ("length_mm", "width_mm"),
+    "bar": ("radius_mm", "length_mm"),
+    "cone": ("angle_deg",),
+    "mesh": ("file",),
+}
+"""The required keys of each shape."""
+
+
+class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The keys of one indenter."""
+
+    shape: Literal["ball", "cylinder", "box", "bar", "cone", "mesh"]
+    radius_mm: _Length | None = None
+    length_mm: _Length | None = None
+    width_mm: _Length | None = None
+    angle_deg: Annotated[float, Meta(gt=0, le=175, description="the full angle")] | None = None
+    file: Annotated[str, Meta(min_length=1, description="an STL file")] | None = None
+
+
+def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
+    """Read INDENTERS.yaml: name to (``FILE:LINE``, entry). Raises ConfigError, ``FILE:LINE: NAME.key: found …``."""
+    value, found, mistakes = strict_yaml.read(path)
+    strict_yaml.refuse(mistakes)
+    if not isinstance(value, dict):
+        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected indenter names")
+    schema = msgspec.json.schema(IndenterEntry)
+    root: dict[str, Any] = {**schema["$defs"]["IndenterEntry"], "$defs": schema["$defs"]}
+    entries = {}
+    for name in value:
+        where = f"{path}:{found[name,].line}"
+        if name == "ball":
+            raise ConfigError(f"{where}: ball: found an entry, expected none, because this name is built in")
+        entry = as_struct(path, value, found, IndenterEntry, root, at=(name,))
+        for key in REQUIRED[entry.shape]:
+            if getattr(entry, key) is None:
+                raise ConfigError(f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}")
+        entries[name] = where, entry
+    return entries
+
 
 # Limits of a mesh's longest side in mm; a mesh outside them is in metres or inches, or a mistake.
 _LEAST_MM, _MOST_MM = 0.5, 500.0
 
 
 def read_indenters(path: Path) -> dict[str, Indenter | float]:
-    """Read the file and its meshes (relative to it): name to indenter, or to a ball's radius in mm.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: NAME.key: found …, expected …``.
-    """
+    """Read the file and its meshes: name to indenter, or to a ball's radius in mm. Raises ConfigError."""
     return {name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()}
 
 
 def write_printables(folder: Path) -> list[Path]:
     """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv.
 
-    Raises
-    ------
-    ConfigError
-        One of the tables exists already; it may be a person's own.
-    DeviceError
-        The folder cannot be written.
+    Raises ConfigError if one of the tables exists, as it may be a person's own, and DeviceError.
     """
     table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
     for path in (table, plan):

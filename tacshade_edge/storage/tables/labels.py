@@ -1,30 +1,27 @@
-"""LABELS.csv: known quantities of each frame, from a robot or person, for ``calibrate`` and ``evaluate --labels``."""
+"""LABELS.csv: known quantities of each frame, from a robot or person, as ``calibrate`` and ``evaluate --labels`` read
+it and ``capture --labels`` writes it with its images.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.regular_files import named_file
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.storage.images import png
 from tacshade_edge.storage.tables.tables import number, read_columns
-from tacshade_edge.types import QUANTITIES
+from tacshade_edge.types import QUANTITIES, U8
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """An image and its known quantities.
-
-    Attributes
-    ----------
-    path : Path
-    known : mapping of str to float
-        Some of `types.QUANTITIES`.
-    where : str
-        ``FILE:LINE``.
-    group : str
-        The same for all images of one press; empty if not stated.
+    """An image and its known quantities (some of `types.QUANTITIES`); `where` is ``FILE:LINE``, `group` names its
+    press.
     """
 
     path: Path
@@ -34,18 +31,9 @@ class LabelledImage:
 
 
 def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
-    """Read the table: columns in any order, an empty cell for an unknown quantity.
+    """Read the table, whose images are in `folder`: columns in any order, an empty cell for an unknown quantity.
 
-    Parameters
-    ----------
-    path : Path
-    folder : Path
-        The folder of the images.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: column: found …, expected …``, no quantity, or no row at all.
+    Raises ConfigError for a mistake (``FILE:LINE: column: found …, expected …``), no quantity, or no row at all.
     """
     table = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
     if table.unknown:
@@ -63,3 +51,70 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
     if not any(row.known for row in labelled):
         raise ConfigError(f"{path}:1: found no quantity, expected at least one of {', '.join(QUANTITIES)}")
     return labelled
+
+
+LABELS = "LABELS.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """A row: an image of the folder, its known quantities, its press's number, and its time if this run took it."""
+
+    image: str
+    known: Mapping[str, float]
+    group: str
+    t_ns: int | None = None
+
+
+class LabelFolder:
+    """The folder; each change is complete on the disk when the call returns, or it raises DeviceError."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._number = max((_number(one.name) for one in path.glob("label_*.png")), default=0)
+
+    @property
+    def table(self) -> Path:
+        """The path of LABELS.csv."""
+        return self._path / LABELS
+
+    def rows(self) -> list[LabelRow]:
+        """The rows of earlier runs; none without a table. Raises ConfigError."""
+        if not self.table.exists():
+            return []
+        labelled = read_labels(self.table, self._path)
+        if missing := next((one for one in labelled if not one.path.is_file()), None):
+            raise ConfigError(
+                f"{missing.where}: image: found no file {missing.path}, expected one in the table's folder"
+            )
+        return [LabelRow(str(one.path.relative_to(self._path)), one.known, one.group) for one in labelled]
+
+    def add_image(self, image: U8) -> str:
+        """Write an image and return its name."""
+        self._number += 1
+        name = f"label_{self._number:05d}.png"
+        with disk_errors(self._path):
+            write_whole(self._path / name, png(image))
+        return name
+
+    def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
+        """Write the table, or delete it if it has no labels, then delete the images of removed rows."""
+        columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
+        stream = io.StringIO(newline="")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("image", *columns, "group"))
+        for row in rows:
+            cells = (f"{row.known[name]:.4f}" if name in row.known else "" for name in columns)
+            writer.writerow((row.image, *cells, row.group))
+        with disk_errors(self._path):
+            if columns:
+                write_whole(self.table, stream.getvalue().encode())
+            else:
+                self.table.unlink(missing_ok=True)
+            for row in removed:
+                (self._path / row.image).unlink(missing_ok=True)
+
+
+def _number(name: str) -> int:
+    digits = name.removeprefix("label_").removesuffix(".png")
+    return int(digits) if digits.isascii() and digits.isdecimal() else 0

@@ -26,24 +26,9 @@ _YAW_MOST_DEG, _TILT_MOST_DEG = 360.0, 60.0
 def read_presses(
     path: Path, indenters: Mapping[str, Indenter | float] | None = None
 ) -> tuple[list[KnownPress], tuple[str, ...]]:
-    """Read the table and its images (relative to the table).
+    """Read the table and its images (relative to it), and notes on it for a person; `indenters` are INDENTERS.yaml's.
 
-    Parameters
-    ----------
-    path : Path
-    indenters : mapping of str to Indenter or float, optional
-        The indenters of INDENTERS.yaml; a float is a ball's radius in mm.
-
-    Returns
-    -------
-    presses : list of KnownPress
-    notes : tuple of str
-        Remarks on the table for a person, one line each.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: column: found …, expected …``, or an image is unreadable.
+    Raises ConfigError for a mistake (``FILE:LINE: column: found …, expected …``), or if an image is unreadable.
     """
     rows, notes = press_rows(path)
     presses, mistakes = list[KnownPress](), list[str]()
@@ -58,12 +43,9 @@ def read_presses(
 
 
 def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:
-    """The table's rows, each ``FILE:LINE`` and its cells by column with decimal points, and notes for a person.
+    """The rows, each ``FILE:LINE`` and its cells by column with decimal points, and notes for a person.
 
-    Raises
-    ------
-    ConfigError
-        The table is absent or not such a table.
+    Raises ConfigError if the table is absent or not such a table.
     """
     table = read_columns(path, HEADER, MORE, "presses")
     notes: tuple[str, ...] = ()

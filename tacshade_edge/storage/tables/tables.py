@@ -46,33 +46,13 @@ def iter_rows(
     rows_max: int = ROWS_MAX,
     on_damage: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, list[str]]]:
-    """Read a table with exactly this header, row by row, skipping empty lines.
+    """Read a table with exactly this header, row by row (``FILE:LINE``, columns), skipping empty lines.
 
-    If the header ends with `CRC_COLUMN`, each line ends with its `line_crc32`, which is not yielded. Lines with a wrong
-    one are left out, and so is a damaged header if the lines after it have theirs.
-
-    Parameters
-    ----------
-    path : Path
-    header : tuple of str
-    what : str
-        The kind of rows, for messages.
-    more : tuple of str
-        Optional columns after those of `header`; a table may end after any of them.
-    cut_off : bool
-        The writer crashed: leave out an unterminated last line.
-    rows_max : int
-    on_damage : callable, optional
-        Called with ``FILE:LINE`` of each line left out.
-
-    Yields
-    ------
-    (``FILE:LINE``, columns)
-
-    Raises
-    ------
-    ConfigError
-        The file is unreadable or not CSV, has another header, a row of another length, or too many rows.
+    A table may end after any of the optional columns `more`. If its header ends with `CRC_COLUMN`, each line ends with
+    its `line_crc32`, which is not yielded; lines with a wrong one are left out and told to `on_damage` by
+    ``FILE:LINE``, and so is a damaged header if the lines after it have theirs. With `cut_off`, the writer crashed, so
+    an unterminated last line is left out. Raises ConfigError if the file is unreadable or not CSV, has another header,
+    a row of another length, or too many rows; `what` names the kind of rows.
     """
     with _opened(path, what, rows_max, "surrogateescape") as stream:
         text = _text(path, stream)
@@ -139,15 +119,9 @@ class _Kept:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with known and unknown columns in any order.
+    """A table with known and unknown columns in any order; rows are ``FILE:LINE`` and column to cell.
 
-    Attributes
-    ----------
-    rows : tuple of (``FILE:LINE``, column to cell)
-    unknown : tuple of str
-        Unknown columns in the table's order.
-    decimal_comma : bool
-        The delimiter is not a comma, so a comma in a number is the decimal sign.
+    With a decimal comma, the delimiter is not a comma, so a comma in a number is the decimal sign.
     """
 
     rows: tuple[tuple[str, dict[str, str]], ...]
@@ -167,12 +141,8 @@ def read_columns(
     """Read a table as a spreadsheet writes it: columns in any order, ``,``, ``;`` or tabs, UTF-8 or UTF-16.
 
     UTF-16 needs its byte order mark, which spreadsheets write. The first line may be Excel's ``sep=;``. Blanks around
-    cells, empty cells after the last column and rows without any filled cell are skipped.
-
-    Raises
-    ------
-    ConfigError
-        The file is unreadable or not CSV, a column is missing or repeated, or a row has another length.
+    cells, empty cells after the last column and rows without any filled cell are skipped. Raises ConfigError if the
+    file is unreadable or not CSV, a column is missing or repeated, or a row has another length.
     """
     with _opened(path, what, rows_max) as stream:
         text = _text(path, stream)

@@ -19,7 +19,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.tables.poses_table import PosedImage
+from tacshade_edge.storage.tables.frame_table import PosedImage
 from tacshade_edge.types import F64, Calibration, Frame, Pose
 
 AVERAGED_POINTS = 500

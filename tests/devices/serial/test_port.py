@@ -133,7 +133,7 @@ def test_only_what_is_there_and_is_no_device_is_hopeless() -> None:
 
 def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:
     code = (
-        "import sys; import tacshade_edge.daemon.app; from tacshade_edge.factories.ports import make_serial_port;"
+        "import sys; import tacshade_edge.daemon.app; from tacshade_edge.factories.sources import make_serial_port;"
         "assert make_serial_port(None) is None;"
         "print([m for m in sys.modules if m.split('.')[0] in ('serial', 'scipy') or 'robot' in m])"
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.tables.poses_table import HEADER, read_poses
+from tacshade_edge.storage.tables.frame_table import HEADER, read_poses
 
 
 def table(tmp_path: Path, *lines: str) -> Path:
