@@ -133,12 +133,12 @@ def _nested(kind: type, values: Mapping[str, Any], known: set[str]) -> dict[str,
     """The values by field of `kind`, those of a dataclass in it in a dict of their own."""
     made: dict[str, Any] = {}
     hints = get_type_hints(kind)
-    for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
+    for name in (field.name for field in fields(kind)):
         if name in values:
             made[name] = values[name]
             known.add(name)
         elif is_dataclass(hints[name]):
-            made[name] = _nested(hints[name], values, known)  # type: ignore[arg-type]
+            made[name] = _nested(hints[name], values, known)
     return made
 
 

@@ -186,7 +186,7 @@ class Calibration:
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
 
 
-def require_bounds(record: object) -> None:
+def require_bounds(record: Any) -> None:
     """Raise ValueError if a number of a dataclass, or in a mapping or tuple of it, is NaN or outside its bounds."""
     for name, bounds in _bounds(type(record)).items():
         given = getattr(record, name)

@@ -428,7 +428,7 @@ def _record(kind: int, body: bytes | memoryview) -> Schema | Channel | Message:
     """The record, parsed by the package. Raises one of `_DAMAGED`."""
     most = DESCRIPTION_BYTES_MAX if kind in (Opcode.SCHEMA, Opcode.CHANNEL) else len(body)
     stream = io.BytesIO(HEAD.pack(kind, len(body)) + body)
-    return next(iter(StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=most).records))  # type: ignore[return-value]
+    return next(iter(StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=most).records))
 
 
 def _unpacked(chunk: object) -> bytes:
