@@ -134,14 +134,16 @@ class McapFrames:
                 case Damage():
                     damaged += 1
                     yield record
-                case Message() if (channel := channels.get(record.channel_id)) is None:
-                    unknown += 1
-                case Message() if channel.metadata.get(OURS) == FRAME:
-                    about = _object(record.data)
-                case Message() if channel.topic == self.topic:
-                    images += 1
-                    schema = schemas.get(channel.schema_id)
-                    yield path, schema.name if schema else "", channel.message_encoding, record, about
+                case Message():
+                    channel = channels.get(record.channel_id)
+                    if channel is None:
+                        unknown += 1
+                    elif channel.metadata.get(OURS) == FRAME:
+                        about = _object(record.data)
+                    elif channel.topic == self.topic:
+                        images += 1
+                        schema = schemas.get(channel.schema_id)
+                        yield path, schema.name if schema else "", channel.message_encoding, record, about
         if unknown:
             found = f"{unknown} messages on channels that the file does not describe"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping these messages"))
