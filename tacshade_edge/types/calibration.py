@@ -188,7 +188,8 @@ class Calibration:
 
 def require_bounds(record: Any) -> None:
     """Raise ValueError if a number of a dataclass, or in a mapping or tuple of it, is NaN or outside its bounds."""
-    for name, bounds in _bounds(type(record)).items():
+    kind: Any = type(record)  # mypy takes no type for hashable
+    for name, bounds in _bounds(kind).items():
         given = getattr(record, name)
         values = given.values() if isinstance(given, Mapping) else given if isinstance(given, tuple) else (given,)
         for value in values:
