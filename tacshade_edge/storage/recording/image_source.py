@@ -1,31 +1,17 @@
-"""Frames from image files or a video file, at a steady pace."""
+"""Frames from image files, a video file or an MCAP file, at a steady pace."""
 
 from __future__ import annotations
 
 import logging
-import os
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
-
-from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.images import SUFFIXES, read_image
-from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
-from tacshade_edge.storage.tables.frame_table import FrameTable, Row, read_table, table_in
-from tacshade_edge.types import U8, Frame
+from tacshade_edge.storage.recording.recording import Entry, Recording
+from tacshade_edge.types import Frame
 
 _log = logging.getLogger(__name__)
-_Picture = Path | U8 | Callable[[], U8]
-
-# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens playlists, which can name
-# any file or address.
-_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-_FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
 
 
 class FilesSource:
@@ -42,10 +28,7 @@ class FilesSource:
         self._seq = 0
         self._due_ns = 0
         self._size: tuple[int, int] | None = None
-        self._images: list[Path] = []
-        self._rows: FrameTable | None = None
-        self._video: cv2.VideoCapture | None = None
-        self._items: Iterator[tuple[_Picture, Row | None]] = iter(())
+        self._recording: Recording | None = None
 
     @property
     def dropped(self) -> int:
@@ -54,13 +37,9 @@ class FilesSource:
 
     def open(self) -> None:
         """Find the files. Raises ConfigError if there is no image, or the table is wrong."""
-        self.close()
-        if not is_mcap(self._path):
-            self._images, self._video = look_at(self._path)
-        self._rows = _rows(self._path)
-        if self._rows is not None and self._rows.damage:
-            _log.warning("%s", self._rows.damage)
-        self._items = self._next_items()
+        self._recording = Recording(self._path, times=0 if self._loop else 1, video_table=False)
+        if self._recording.damage:
+            _log.warning("%s", self._recording.damage)
         self._due_ns = time.monotonic_ns()
 
     def read(self) -> Frame | None:
@@ -70,13 +49,17 @@ class FilesSource:
         """
         if (entry := self._next_due()) is None:
             return None
-        item, row = entry
-        t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
+        t_ns, wall_ns, seq, row = time.monotonic_ns(), time.time_ns(), self._seq, entry.row
         self._seq += 1
-        frame = Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
-        if row is None or row.pose is None:
-            return frame
-        return replace(frame, pose=replace(row.pose, t_ns=t_ns), pose_error_us=row.pose_error_us)
+        image = entry.image()
+        height, width = image.shape[:2]
+        self._size = self._size or (height, width)
+        if self._size != (height, width):
+            expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
+            where = entry.picture if isinstance(entry.picture, Path) else self._path
+            raise DecodeError(f"{where}: found {width}x{height} px, expected {expected}")
+        pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
+        return Frame(seq, t_ns, wall_ns, image, pose, row.pose_error_us)
 
     def skip(self) -> bool:
         """Wait until the next frame is due but do not decode it; return False after the last."""
@@ -84,9 +67,9 @@ class FilesSource:
         self._seq += entry is not None
         return entry is not None
 
-    def _next_due(self) -> tuple[_Picture, Row | None] | None:
-        """Wait until the next picture is due; return it with its row of the table, or None after the last."""
-        if (entry := next(self._items, None)) is None:
+    def _next_due(self) -> Entry | None:
+        """Wait until the next picture is due; None after the last."""
+        if self._recording is None or (entry := self._recording.next_entry()) is None:
             return None
         late_ns = time.monotonic_ns() - self._due_ns
         if late_ns < 0:
@@ -97,48 +80,13 @@ class FilesSource:
         return entry
 
     def close(self) -> None:
-        """Release the video file."""
-        if self._video is not None:
-            self._video.release()
-        self._video, self._images, self._rows, self._items = None, [], None, iter(())
+        """Release the files."""
+        self._recording = None
 
     def describe(self) -> dict[str, str | int | float]:
         """The path, the frame rate, and the number of images if known."""
-        about: dict[str, str | int | float] = {"path": str(self._path), "fps": self._fps}
-        images = len(self._images if self._rows is None else self._rows)
-        return about | ({"images": images} if images else {})
-
-    def _next_items(self) -> Iterator[tuple[_Picture, Row | None]]:
-        mcap = mcap_frames(self._path) if is_mcap(self._path) else None
-        if mcap is not None and mcap.damage:
-            _log.warning("%s", mcap.damage)
-        while True:
-            if mcap is not None:
-                yield from ((picture, row) for row, picture, _ in mcap)
-            elif self._rows is not None:
-                yield from ((self._path / row.image, row) for row in self._rows)
-            else:
-                yield from ((image, None) for image in self._images)
-            if self._video is not None:
-                while (grabbed := self._video.read())[0]:
-                    yield np.asarray(grabbed[1], dtype=np.uint8), None
-                self._video.set(cv2.CAP_PROP_POS_FRAMES, 0)
-            if not self._loop:
-                return
-
-    def _checked(self, item: _Picture) -> U8:
-        if isinstance(item, np.ndarray):
-            return item
-        image = read_image(item) if isinstance(item, Path) else item()
-        height, width = image.shape[:2]
-        if self._size is None:
-            self._size = (height, width)
-        if self._size != (height, width):
-            expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
-            raise DecodeError(
-                f"{item if isinstance(item, Path) else self._path}: found {width}x{height} px, expected {expected}"
-            )
-        return image
+        images = self._recording.images if self._recording else 0
+        return {"path": str(self._path), "fps": self._fps} | ({"images": images} if images else {})
 
 
 def first_size_px(path: Path) -> tuple[int, int] | None:
@@ -146,55 +94,10 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
 
     Raises ConfigError if there is no image, or the table is wrong.
     """
-    if is_mcap(path):
-        return _first_size_of_mcap(path)
-    images, video = look_at(path)
-    if video is not None:
-        size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        video.release()
-        return size_px
-    rows = _rows(path)
+    if (entry := Recording(path, video_table=False).next_entry()) is None:
+        raise ConfigError(f"{path}: found no image, expected an MCAP file with images")
     try:
-        image = read_image(path / rows[0].image if rows else images[0])
+        image = entry.image()
     except DecodeError:
         return None
     return image.shape[1], image.shape[0]
-
-
-def _first_size_of_mcap(path: Path) -> tuple[int, int] | None:
-    for _, picture, _ in mcap_frames(path):
-        try:
-            image = picture()
-        except DecodeError:
-            return None
-        return image.shape[1], image.shape[0]
-    raise ConfigError(f"{path}: found no image, expected an MCAP file with images")
-
-
-def _rows(path: Path) -> FrameTable | None:
-    table = table_in(path) if path.is_dir() else None
-    return None if table is None else read_table(table, cut_off=table.suffix == ".part")
-
-
-def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
-    """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
-    if path.is_dir():
-        images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
-        if not images:
-            raise ConfigError(f"{path}: found no image, expected a folder of {', '.join(sorted(SUFFIXES))} files")
-        return images, None
-    if not path.is_file():
-        raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
-    if path.suffix.lower() in SUFFIXES:
-        return [path], None
-    os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not video.isOpened():
-        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
-    width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    if max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX:
-        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side")
-    if not video.grab():
-        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
-    video.set(cv2.CAP_PROP_POS_FRAMES, 0)
-    return [], video

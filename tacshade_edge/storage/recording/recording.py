@@ -6,6 +6,7 @@ The table of a folder of images is ``frames.csv`` in it; that of a video ``NAME.
 from __future__ import annotations
 
 import itertools
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,9 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.images import SUFFIXES, read_image
-from tacshade_edge.storage.recording.image_source import look_at
 from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
 from tacshade_edge.storage.recording.recording_content import wall_minus_t_ns
 from tacshade_edge.storage.tables.frame_table import FrameTable, Row, read_table, table_in
@@ -25,6 +26,11 @@ from tacshade_edge.types import U8, Frame
 DEFAULT_FPS = 30.0
 Picture = Path | U8 | Callable[[], U8]
 """An image, or the file or function that gives it when its turn comes."""
+
+# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens playlists, which can name
+# any file or address.
+_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,46 +46,56 @@ class RecordedFrame:
     wall_ns: int = 0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """A frame whose picture has not been read yet."""
+
+    seq: int
+    row: Row
+    picture: Picture
+    wall_ns: int
+
+    def image(self) -> U8:
+        """Read the picture. Raises DecodeError."""
+        if isinstance(self.picture, Path):
+            return read_image(self.picture)
+        return self.picture if isinstance(self.picture, np.ndarray) else self.picture()
+
+
 class Recording:
     """A folder of images, one image or a video in the order and at the times of its table, or an MCAP file (extra
-    ``mcap``).
+    ``mcap``). Raises ConfigError if there is nothing to replay, or the table is wrong.
 
     `fps` is the frame rate of the time stamps (from 0) without a table; with one it is refused. `times` is the number
-    of passes, in which time stamps and numbers keep growing; 0 repeats endlessly. `cut_off`: the writer crashed;
-    everything it wrote before is included. `damage`, for a person, is of the table, or of an MCAP file outside its
-    frames. `frames` is the greatest number of frames that `read` returns in all; None if unknown before the end. Raises
-    ConfigError if there is nothing to replay, or the table is wrong.
+    of passes, in which time stamps and numbers keep growing; 0 repeats endlessly. `video_table` says whether a video's
+    table counts. `cut_off`: the writer crashed; everything it wrote before is included. `damage`, for a person, is of
+    the table, or of an MCAP file outside its frames. `images` is the number of frames of one pass and `frames` that of
+    all; 0 or None if unknown before the end.
     """
 
-    def __init__(self, path: Path, *, fps: float | None = None, times: int = 1) -> None:
+    def __init__(self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True) -> None:
         self._path = path
         self._period_ns = 1e9 / (fps or DEFAULT_FPS)
         self._mcap = mcap_frames(path) if is_mcap(path) else None
-        self._table = None if self._mcap else _table_beside(path)
-        self.cut_off = self._table is not None and self._table.suffix == ".part"
+        self._table = None if self._mcap else _table_beside(path, video_table=video_table)
+        self._rows: FrameTable | None = None
+        self.cut_off, self.damage, self.images = False, "", 0
+        if fps is not None and (stated := path if self._mcap else self._table) is not None:
+            raise ConfigError(f"--fps: found {fps:g}, expected no value, because {stated} contains the time stamps")
         if self._mcap is not None:
-            self.cut_off = self._mcap.cut_off
-            if fps is not None:
-                raise ConfigError(f"--fps: found {fps:g}, expected no value, because {path} contains the time stamps")
+            self.cut_off, self.damage = self._mcap.cut_off, self._mcap.damage
+        elif self._table is not None:
+            self.cut_off = self._table.suffix == ".part"
+            self._rows = read_table(self._table, cut_off=self.cut_off)
+            self.damage, self.images = self._rows.damage, len(self._rows)
+        else:
+            self.images = len(look_at(path)[0])
         self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
-        self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
-        self.damage = "" if self._rows is None else self._rows.damage
-        if self._mcap is not None:
-            self.damage = self._mcap.damage
-        if fps is not None and self._table is not None:
-            raise ConfigError(
-                f"--fps: found {fps:g}, expected no value, because {self._table} contains the time stamps"
-            )
-        one_pass = 0
-        if self._rows is not None:
-            one_pass = len(self._rows)
-        elif self._mcap is None:
-            one_pass = len(look_at(path)[0])
-        self.frames = one_pass * times or None
+        self.frames = self.images * times or None
         self._shift_ns = 0
         passes = itertools.count() if times == 0 else range(times)
         entries = enumerate(entry for _ in passes for entry in self._one_pass())
-        self._entries: Iterator[tuple[int, tuple[Row, Picture, int]]] = entries
+        self._entries: Iterator[Entry] = (Entry(seq, *entry) for seq, entry in entries)
 
     def read(self) -> RecordedFrame | None:
         """The next frame; None after the last.
@@ -87,15 +103,15 @@ class Recording:
         Raises DecodeError if this image is unusable; its number is left out, and the next call continues with the next
         image. Raises ConfigError if the table has more or fewer rows than the video has frames.
         """
-        entry = next(self._entries, None)
-        if entry is None:
+        if (entry := self.next_entry()) is None:
             return None
-        seq, (row, picture, wall_ns) = entry
-        if isinstance(picture, Path):
-            image = read_image(picture)
-        else:
-            image = picture if isinstance(picture, np.ndarray) else picture()
-        return RecordedFrame(row.image, Frame(seq, row.t_ns, 0, image, row.pose, row.pose_error_us), wall_ns)
+        row = entry.row
+        frame = Frame(entry.seq, row.t_ns, 0, entry.image(), row.pose, row.pose_error_us)
+        return RecordedFrame(row.image, frame, entry.wall_ns)
+
+    def next_entry(self) -> Entry | None:
+        """The next frame without its picture; None after the last."""
+        return next(self._entries, None)
 
     @property
     def length_ns(self) -> int:
@@ -104,23 +120,17 @@ class Recording:
             return self._mcap.length_ns
         if self._rows is not None:
             return self._rows[-1].t_ns - self._rows[0].t_ns if len(self._rows) else 0
-        images, video = look_at(self._path)
-        if video is not None:
-            video.release()
-        return round(max(len(images) - 1, 0) * self._period_ns)
+        return round(max(self.images - 1, 0) * self._period_ns)
 
     def skip_to(self, t_ns: int) -> None:
         """Skip the frames before this time; in a folder their images are not read."""
-        for entry in self._entries:
-            if entry[1][0].t_ns >= t_ns:
-                self._entries = itertools.chain((entry,), self._entries)
-                return
+        self.skip_to_before(t_ns, 0)
 
     def skip_to_before(self, t_ns: int, frames: int) -> None:
         """Skip the frames before this time except the last `frames` of them."""
-        before: deque[tuple[int, tuple[Row, Picture, int]]] = deque(maxlen=frames)
+        before: deque[Entry] = deque(maxlen=frames)
         for entry in self._entries:
-            if entry[1][0].t_ns >= t_ns:
+            if entry.row.t_ns >= t_ns:
                 self._entries = itertools.chain((entry,), self._entries)
                 break
             before.append(entry)
@@ -176,16 +186,30 @@ class Recording:
             raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index} rows, one per video frame")
 
 
-def _table_beside(path: Path) -> Path | None:
+def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
+    """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
-        if (found := table_in(path)) is not None:
-            return found
-        table = path
-    elif path.is_file() and path.suffix.lower() not in SUFFIXES:
-        table = path.with_suffix(".csv")
-    else:
-        table = path
-    if table != path and table.exists():
-        return table
-    look_at(path)  # raises ConfigError if the path is unusable
-    return None
+        images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+        if not images:
+            raise ConfigError(f"{path}: found no image, expected a folder of {', '.join(sorted(SUFFIXES))} files")
+        return images, None
+    if not path.is_file():
+        raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
+    if path.suffix.lower() in SUFFIXES:
+        return [path], None
+    os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if video.isOpened() and (max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX):
+        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side")
+    if not video.isOpened() or not video.grab():
+        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
+    return [], cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # winding back finds no frame in a video of one
+
+
+def _table_beside(path: Path, *, video_table: bool) -> Path | None:
+    if path.is_dir():
+        return table_in(path)
+    is_video = path.is_file() and path.suffix.lower() not in SUFFIXES
+    table = path.with_suffix(".csv")
+    return table if video_table and is_video and table != path and table.exists() else None
