@@ -41,32 +41,17 @@ Maps = TypeVar("Maps", NetworkMaps, F32)
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A convolution of codes: what it was given and gave.
-
-    Attributes
-    ----------
-    scaled : float32 (O, C, k, k)
-        The weights, not rounded, times the scales of the codes.
-    rounded : int8 (O, C, k, k)
-    step : float32 (O,)
-        Of the rounded weights.
-    bias : float64 (O,)
-        In steps, not rounded.
-    rounded_bias : int32 (O,)
-        And with what rounding the weights takes from the sums in the mean.
-    scale : float32 (O,)
-        What the sums are multiplied by.
-    """
+    """A convolution of codes: what it was given and gave."""
 
     pad: int
     x: np.ndarray
     x_zero: int
-    scaled: np.ndarray
-    rounded: np.ndarray
-    step: np.ndarray
-    bias: F64
-    rounded_bias: np.ndarray
-    scale: np.ndarray
+    scaled: np.ndarray  # (O, C, k, k): the weights, not rounded, times the scales of the codes
+    rounded: np.ndarray  # int8 (O, C, k, k)
+    step: np.ndarray  # (O,) of the rounded weights
+    bias: F64  # (O,) in steps, not rounded
+    rounded_bias: np.ndarray  # int32 (O,), with what rounding the weights takes from the sums in the mean
+    scale: np.ndarray  # (O,) that multiplies the sums
     zero: int
     codes: np.ndarray
 

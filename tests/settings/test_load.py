@@ -160,18 +160,6 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-@given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
-def test_any_bytes_load_or_are_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
-    path = tmp_path_factory.getbasetemp() / "any.yaml"
-    path.write_bytes(data)
-    try:
-        said = repr(load(path).settings)
-    except ConfigError as error:
-        said = str(error)
-    assert said.startswith((str(path), "Settings("))
-    assert "\n" not in said
-
-
 def uncommented(kind: str) -> str:
     """The commented source block of one kind in the default file, as YAML."""
     text = DEFAULT.read_text()

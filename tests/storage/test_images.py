@@ -51,17 +51,6 @@ def test_a_tiff_of_other_numbers_is_named(tmp_path: Path, kind: type, picture: n
         read_image(path)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp"])
-@pytest.mark.parametrize("part", [0.3, 0.999])
-def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, part: float) -> None:
-    path = tmp_path / f"cut{suffix}"
-    assert cv2.imwrite(str(path), PICTURE)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(part * len(data))])
-    with pytest.raises(DecodeError, match=rf"cut\{suffix}: .*expected a whole image$"):
-        read_image(path)
-
-
 def test_a_jpeg_padded_by_the_camera_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "padded.jpg"
     cv2.imwrite(str(path), PICTURE)

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.lib import format as npy
 
 from tacshade_edge.errors import ConfigError
@@ -98,20 +96,3 @@ def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "c.npz")
     with pytest.raises(ConfigError, match=r"c\.npz: cannot read the calibration: found no regular file; expected a fi"):
         npz.read(str(tmp_path / "c.npz"), "calibration", "somebody")
-
-
-@given(st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=3))
-def test_damage_is_told_in_one_line(tmp_path_factory: pytest.TempPathFactory, damage: list[tuple[float, int]]) -> None:
-    data = bytearray(CONTENT.packed())
-    for place, value in damage:
-        data[int(place * len(data))] = value
-    try:
-        content = read(tmp_path_factory.getbasetemp() / "damaged.npz", bytes(data))
-    except ConfigError as error:
-        said = str(error)
-    else:
-        said = ""
-        assert content.meta == CONTENT.meta
-        for name, value in content.arrays.items():
-            np.testing.assert_array_equal(value, CONTENT.arrays[name])
-    assert "\n" not in said

@@ -85,8 +85,9 @@ class FilesSource:
 
     def describe(self) -> dict[str, str | int | float]:
         """The path, the frame rate, and the number of images if known."""
+        about: dict[str, str | int | float] = {"path": str(self._path), "fps": self._fps}
         images = self._recording.images if self._recording else 0
-        return {"path": str(self._path), "fps": self._fps} | ({"images": images} if images else {})
+        return about | ({"images": images} if images else {})
 
 
 def first_size_px(path: Path) -> tuple[int, int] | None:

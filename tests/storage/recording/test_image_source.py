@@ -124,32 +124,6 @@ def test_the_size_of_the_first_image(folder: Path, tmp_path: Path) -> None:
         first_size_px(folder / "none")
 
 
-@pytest.mark.parametrize("loop", [False, True])
-def test_a_video_file_gives_its_frames(tmp_path: Path, loop: bool) -> None:
-    path = tmp_path / "v.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
-    for i in range(3):
-        writer.write(picture(40 * i))
-    writer.release()
-    source = FilesSource(path=path, fps=240, loop=loop)
-    source.open()
-    frames = [source.read() for _ in range(5)]
-    source.close()
-    levels = [f and round(float(f.image.mean()) / 40) for f in frames]
-    assert levels == ([0, 1, 2, 0, 1] if loop else [0, 1, 2, None, None])
-
-
-def test_what_can_never_work_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "v.avi").write_bytes(b"no video")
-    for path, said in (
-        (tmp_path / "none", "found nothing"),
-        (tmp_path, "found no image"),
-        (tmp_path / "v.avi", "found a file that OpenCV cannot read"),
-    ):
-        with pytest.raises(ConfigError, match=said):
-            FilesSource(path=path, fps=30, loop=False).open()
-
-
 @pytest.mark.parametrize("name", ["list.m3u8", "list.mp4", "list.avi"])
 def test_a_list_of_videos_is_none(name: str, tmp_path: Path) -> None:
     """FFmpeg would take one, and open the files and addresses that it names."""

@@ -3,7 +3,6 @@ from __future__ import annotations
 import errno
 import os
 import random
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -198,12 +197,3 @@ def test_a_disk_that_fails_amid_a_record_leaves_the_frames_before(
     recorder.finish({"frames": 3})
     assert [path.name for path in (tmp_path / "rec").glob("*.mcap*")] == ["000.mcap"]
     assert seqs(tmp_path / "rec") == [0, 1, 2]
-
-
-def test_the_floor_of_free_space(tmp_path: Path) -> None:
-    recorder = McapRecorder(tmp_path / "rec", "left")
-    recorder.begin("", painted_calibration())
-    recorder._floor = shutil.disk_usage(tmp_path).total
-    assert not recorder.add(frame(0), b"")
-    recorder.finish({})
-    assert list((tmp_path / "rec").glob("*.mcap*")) == []

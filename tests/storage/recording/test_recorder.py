@@ -8,6 +8,7 @@ import pytest
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.tables.frame_table import read_table
@@ -101,12 +102,13 @@ def test_before_the_first_frame_there_is_nothing_to_replay(tmp_path: Path) -> No
 def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected at least \d+"):
         Recorder(tmp_path / "rec", free_floor_bytes=2**62)
-    recorder = begun(tmp_path / "rec")
-    recorder._floor = 2**62
-    assert not recorder.add(Frame(0, 0, 0, picture(8, 8)), b"")
-    assert recorder.frames == 0
-    assert not list((tmp_path / "rec").glob("*.png*"))
-    recorder.close()
+    for recorder in (Recorder(tmp_path / "png"), McapRecorder(tmp_path / "mcap", "left")):
+        recorder.begin("sensor_id: a\n", painted_calibration())
+        recorder._floor = 2**62
+        assert not recorder.add(Frame(0, 0, 0, picture(8, 8)), b"")
+        assert recorder.frames == 0
+        assert not [path for path in recorder.folder.iterdir() if path.name.startswith("000")]
+        recorder.close()
 
 
 def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:

@@ -12,8 +12,6 @@ import os
 import re
 import struct
 import zlib
-from array import array
-from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,8 +48,6 @@ _LATER_FIELDS_BYTES: Final = 64
 """Most that later format versions may add to a record; a longer one is another kind with a changed first byte."""
 _PASSED_OVER_MAX: Final = 10_000
 """Limit on damaged places in a file, because a file full of damage takes time."""
-_INDEXED_MAX: Final = 16
-"""Number of next chunks tried from the index; if all are damaged, or the index is wrong, the bytes are searched."""
 _DAMAGED: Final = (ValueError, struct.error, McapError, zstandard.ZstdError, RuntimeError, EOFError)
 
 # Number of bytes, or the format of the number that states how many bytes follow it.
@@ -113,7 +109,6 @@ class Summary:
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)  # messages in each channel, if the file states them
     span_ns: tuple[int, int] | None = None  # times of the first and the last message
-    starts: array[int] = field(default_factory=lambda: array("Q"))  # first bytes of chunks and attachments, sorted
     in_chunks: bool = False
 
 
@@ -145,8 +140,8 @@ class McapFile:
     def places(self) -> Iterator[Place | Damage]:
         """Every record of the data section, and the damage, in the order of the file.
 
-        After damage, continue at the next record, at the next chunk in the file's own index, or at the next bytes that
-        form a record. In a truncated file, the torn record at the end is not damage.
+        After damage, continue at the next record or at the next bytes that form one. In a truncated file, the torn
+        record at the end is not damage.
         """
         at, summary, passed_over = len(MAGIC), self.summary, 0
         is_whole = self._block(max(0, self._size - len(MAGIC)), len(MAGIC)) == MAGIC
@@ -281,7 +276,6 @@ class McapFile:
 
     def _summary_at(self, at: int, end: int) -> Summary:
         found = Summary(at)
-        starts = []
         while at < end:
             head = self._head(at)
             if head is None or not self._is_sound(at):
@@ -298,13 +292,8 @@ class McapFile:
                     times = record.message_start_time, record.message_end_time
                     found.span_ns = times if record.message_count else None
                     found.counts = record.channel_message_counts
-            elif kind == Opcode.CHUNK_INDEX:  # the package would keep the place of every message
-                starts.append(self._number("<Q", body + 16))
-                found.in_chunks = True
-            elif kind == Opcode.ATTACHMENT_INDEX:
-                starts.append(self._number("<Q", body))
+            found.in_chunks |= kind == Opcode.CHUNK_INDEX
             at = body + length
-        found.starts.extend(sorted(start for start in starts if len(MAGIC) <= start < found.begin))
         return found
 
     def _skipping(self, begin: int, end: int, why: str) -> Damage:
@@ -312,11 +301,8 @@ class McapFile:
 
     def _is_private(self, at: int, kind: int, length: int) -> bool:
         """Whether to skip an unknown kind as private; needs message counts, which reveal a message lost this way."""
-        summary = self.summary
-        if summary is None or not summary.counts or kind <= max(Opcode):
-            return False
-        is_indexed = bisect_right(summary.starts, at) > bisect_right(summary.starts, at - 1)
-        return not is_indexed and self._begins_record(at + HEAD.size + length)
+        counts = self.summary is not None and bool(self.summary.counts)
+        return counts and kind > max(Opcode) and self._begins_record(at + HEAD.size + length)
 
     def _following(self, at: int, end: int, in_chunks: bool) -> int | None:
         """The first byte of the next sound record after a damaged one; None if there is none."""
@@ -324,12 +310,6 @@ class McapFile:
             behind = at + HEAD.size + head[1]
             if behind < end and self._is_sound(behind):
                 return behind
-        if self.summary is not None:
-            starts = self.summary.starts
-            first = bisect_right(starts, at)
-            for start in starts[first : first + _INDEXED_MAX]:
-                if self._is_sound(start):
-                    return int(start)
         return self._found(at + 1, end, _OUTSIDE if in_chunks else _ANY)
 
     def _found(self, begin: int, end: int, head: re.Pattern[bytes]) -> int | None:
