@@ -14,7 +14,7 @@ from support.fitted import fitted_with
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
-from tacshade_edge.core.calibration.indenters import first_touch_mm
+from tacshade_edge.core.calibration.machine import first_touch_mm
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
