@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from types import TracebackType
 from typing import Any, Final, Self
 
-from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.client import Client, MQTTMessage, topic_matches_sub
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -39,6 +39,10 @@ _RECONNECT_S: Final = 1
 _KEEPALIVE_S: Final = 10
 _BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
+SILENT_S = 5.0
+"""Silence from the start after which the sensors that are there are asked for: a name may be misspelt."""
+_STATES: Final = "tacshade/+/state"
+_STATES_S: Final = 1.0
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
 
 
@@ -147,6 +151,8 @@ class Listener(Iterator[Message]):
         self._failure: tuple[str, ReasonCode] | None = None
         self._crash: Exception | None = None
         self._next_line_s = 0.0
+        self._ask_s: float | None = time.monotonic() + SILENT_S
+        self._there: dict[str, str] | None = None  # the state of each sensor, asked for after a long silence
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
         client.on_message, client.on_crash = self._on_message, self._on_crash
@@ -176,8 +182,7 @@ class Listener(Iterator[Message]):
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             with self._came:
-                left_s = None if end_s is None else end_s - time.monotonic()
-                self._came.wait_for(lambda: self._waiting or self._closed or self._crash, left_s)
+                self._wait(end_s)
                 if self._crash is not None and not self._closed:
                     text = f"{self._where}: receiving ended: {self._crash!r}"
                     raise DeviceError(text, code=ReasonCode.LOST) from self._crash
@@ -190,6 +195,28 @@ class Listener(Iterator[Message]):
                 with self._came:
                     self.refused += 1
                 self._log_refused(error)
+
+    def _wait(self, end_s: float | None) -> None:
+        """Wait for a message or the end. Lock held."""
+        while not (self._waiting or self._closed or self._crash):
+            now_s = time.monotonic()
+            if end_s is not None and now_s >= end_s:
+                return
+            if self._ask_s is not None and now_s >= self._ask_s:
+                self._name_those_there(now_s)
+            ends_s = [at_s for at_s in (end_s, self._ask_s) if at_s is not None]
+            self._came.wait(min(ends_s) - now_s if ends_s else None)
+
+    def _name_those_there(self, now_s: float) -> None:
+        """After a silence from the start, ask for the sensors' states; a second later, log them. Lock held."""
+        if self._there is None:
+            self._there, self._ask_s = {}, now_s + _STATES_S
+            self._client.subscribe(_STATES, 0)
+            return
+        self._ask_s = None
+        there = ", ".join(f"{name} ({state})" for name, state in sorted(self._there.items())) or "no sensors"
+        topics = ", ".join(sorted(self._topics))
+        _log.warning("%s: no message on %s so far; there are %s", self._where, topics, there)
 
     def follow(self, topics: Collection[str]) -> None:
         """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
@@ -302,6 +329,13 @@ class Listener(Iterator[Message]):
                 self.refused += 1
             self._log_refused(DecodeError("found a topic that is not UTF-8"))
             return
+        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # a state that `_wait` asked for
+            with self._came:
+                if self._there is not None:
+                    name, state = topic.split("/")[1], message.payload[:20].decode(errors="replace")
+                    self._there[quoted(name)[1:-1]] = quoted(state)[1:-1]
+            return
+        self._ask_s = None
         part = topic.split("/", 3 if topic.startswith("tacshade/hand/") else 2)[-1]
         with self._came:
             key: str | int = topic if part in NEWEST_WINS else next(self._numbers)

@@ -139,8 +139,7 @@ def port_of(device: str, machine: Machine) -> Port | None:
     above = Path(os.path.realpath(machine.at(f"/sys/class/video4linux/{node}/device")))
     for folder in (above, *above.parents):
         found = re.fullmatch(r"(\d+)-(\d+)[\d.]*", folder.name)
-        speed = machine.read(machine.name_of(folder / "speed"))
-        if found and speed:
+        if found and (speed := machine.read(machine.name_of(folder / "speed"))):
             bus, port = found.groups()
             root = next((part for part in folder.parents if part.name == f"usb{bus}"), folder)
             driver = os.path.basename(os.path.realpath(root.parent / "driver"))

@@ -24,6 +24,7 @@ from tacshade_edge.reasons import ReasonCode
 
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
+_STATES_S: Final = 1.0
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
@@ -89,7 +90,15 @@ class _Heard(Results):
         self._connected = self._closed = False
         self._frames = frames = FrameAssembler()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
-        client.receive(lambda topic, message: frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload)))
+        self._there: set[str] = set()  # the sensors with a state, asked for after a silence
+
+        def receive(topic: str, message: Any) -> None:
+            if topic.startswith(f"{self._base}/"):
+                frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
+            else:
+                self._there.add(topic.split("/")[1])
+
+        client.receive(receive)
         self._connect()
 
     @property
@@ -166,11 +175,14 @@ class _Heard(Results):
 
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
-        state = (
-            f"the sensor's state is {shown(self._frames.state)}"
-            if self._frames.state
-            else "no daemon has published a state"
-        )
+        state = f"the sensor's state is {shown(self._frames.state)}"
+        if not self._frames.state:
+            self._client.subscribe("tacshade/+/state", 0)
+            end_s = time.monotonic() + _STATES_S
+            while time.monotonic() < end_s and self._step(_POLL_S):
+                pass
+            there = ", ".join(map(shown, sorted(self._there))) or "no sensor"
+            state = f"no daemon has published a state, expected one of those that have: {there}"
         reason = self._frames.info.reason
         known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
         text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {state}{known}"
