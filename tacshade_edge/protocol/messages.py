@@ -109,6 +109,7 @@ def encode_info(
             choice=choice or profile,
             reference=None if reference is None else dict(reference),
             geometry=_geometry(known) if known else None,
+            fitted=tuple(sorted(known.fitted)) if known else (),
             hand_id=hand_id,
             hand_T_sensor=None if hand_T_sensor is None else tuple(hand_T_sensor),  # type: ignore[arg-type]
             **reason_fields(missing),

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.fitted import fitted_with
 from support.published_sensor import calibration, health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
@@ -114,6 +115,11 @@ def test_info_places_a_pixel_in_mm() -> None:
     )
     info = json.loads(told)
     assert info["reference"] is None
+    assert info["fitted"] == []
+    again = messages.encode_info(
+        version="1", config_digest="ab", profile="fast", calibration=fitted_with("fast", calibration)
+    )
+    assert json.loads(again)["fitted"] == ["fast"]
     assert (info["hand_id"], info["hand_T_sensor"]) == (None, None)
     assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles", "choice")} == {
         "version": "1",
