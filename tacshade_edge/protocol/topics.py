@@ -73,9 +73,9 @@ class Info:
 
     `geometry` is None without a calibration; `reason` and its code then give the reason. `profiles` are the names that
     ``req/profile`` accepts, and `choice` is the chosen one of them. `reference` is where the reference started and how
-    far it may follow from there; None if it does not follow. `fitted` are the profiles whose networks were fitted to this
-    sensor. `hand_id` names the hand that the sensor is a finger of,
-    and `hand_T_sensor` (x, y, z in mm, quaternion w, x, y, z) is the sensor's pose in it; both are None without a hand.
+    far it may follow from there; None if it does not follow. `fitted` are the profiles whose networks were fitted to
+    this sensor. `hand_id` names the hand that the sensor is a finger of, and `hand_T_sensor` (x, y, z in mm, quaternion
+    w, x, y, z) is the sensor's pose in it; both are None without a hand.
     """
 
     version: str = ""
