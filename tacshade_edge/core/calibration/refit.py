@@ -2,7 +2,9 @@
 
 A network trained on many sensors is off on a given one by a nearly constant factor. Each press shows the factor where
 the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
-(P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows. Balls show little more:
+(P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows, and as shapes differ: a small
+factor says more about the shape than about the sensor, so it is nearly dropped, and a large one stays. Its own square
+is the prior's variance (empirical Bayes). Balls show little more:
 corrections by depth and place fit the balls better, but not other shapes (tools/training/README.md).
 
 The error scale is a sensor's factor on σ (`core.depth.sigma`). q is the quantile of errors, in σ of scale 1, that the
@@ -36,8 +38,10 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, F64, Bool, Calibration, Geometry, ProfileFit
 
-PRIOR_DEVIATION = 0.2
-"""Standard deviation of log factor over sensors; RMS over simulated ones of both families and finer pitch is 0.17."""
+SHAPE_DEVIATION = 0.08
+"""Standard deviation of log factor from that of other shapes, also dragged: 0.03 to 0.07 on 16 simulated sensors of two
+families (tools/studies/factor.py), where 0.06 to 0.1 gain the same.
+"""
 # Least standard deviation of log factor over the presses of a sensor.
 _LEAST_DEVIATION = 0.05
 _HUBER, _ITERATIONS = 1.5, 20
@@ -106,8 +110,8 @@ def fit_factor(presses: Sequence[PressRows]) -> float | None:
         weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
         middle = float(weight @ logs / weight.sum())
     effective_presses = float(weight.sum() ** 2 / (weight @ weight))
-    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / effective_presses)
-    return min(max(math.exp(drawn * middle), FACTOR_RANGE[0]), FACTOR_RANGE[1])
+    doubt = SHAPE_DEVIATION**2 + deviation**2 / effective_presses
+    return min(max(math.exp(middle**3 / (middle**2 + doubt)), FACTOR_RANGE[0]), FACTOR_RANGE[1])
 
 
 def _weighted_median(values: F64, weights: F64) -> float:
