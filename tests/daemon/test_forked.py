@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROGRAM = r"""
 import os, sys
 from pathlib import Path
@@ -26,6 +28,7 @@ if not isinstance(document, int):
 """
 
 
+@pytest.mark.slow
 def test_a_forked_process_imports_nothing_for_its_link(tmp_path: Path) -> None:
     sensors = "".join(
         f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}\n" for name in ("thumb", "index")

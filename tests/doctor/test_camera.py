@@ -142,6 +142,7 @@ def test_a_camera_that_is_not_there(machine: Any) -> None:
     assert states(check_device(V4l2(), machine)) == ["fault"]
 
 
+@pytest.mark.slow
 def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert check_csi(Rpicam())[0].fix == "sudo apt install rpicam-apps-lite"

@@ -90,6 +90,7 @@ def test_balls_show_the_mechanics() -> None:
     assert likely_mechanics(without_presses(), found, presses()[:4]) == Mechanics()
 
 
+@pytest.mark.slow
 def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
     from tacshade_edge.fitting.fit import fit
 

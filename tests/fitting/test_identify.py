@@ -40,6 +40,7 @@ def test_the_print_is_found_as_it_was_made(model: SensorModel) -> None:
         assert found_mm[2] == pytest.approx(true_mm[2], rel=0.25)
 
 
+@pytest.mark.slow
 def test_what_the_drawing_states_is_not_fitted() -> None:
     from tacshade_edge.fitting.identify import identify
 

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from tools.testbed.patience import patience
 
 SCRIPT = """
@@ -42,6 +44,7 @@ assert len(loads) == 1, "another profile's is loaded"
 """
 
 
+@pytest.mark.slow
 def test_a_preloaded_network_works_in_a_forked_process() -> None:
     here = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     words = (sys.executable, "-c", SCRIPT)

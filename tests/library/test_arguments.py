@@ -83,6 +83,7 @@ def test_a_password_needs_a_username() -> None:
         ts.listen(CLOSED, "drawn", username="", password="")
 
 
+@pytest.mark.slow
 @given(st.text(max_size=300))
 def test_any_text_is_read_or_refused(text: str) -> None:
     """A file that is there by chance would be no calibration either."""

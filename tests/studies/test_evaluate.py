@@ -93,7 +93,8 @@ def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> N
 
 @pytest.mark.slow
 def test_the_same_plan_gives_the_same_bytes(found: Evaluation) -> None:
-    assert csv_text(Row, evaluate(PLAN, ThisProcess(), quiet).rows) == csv_text(Row, found.rows)
+    again = evaluate(replace(PLAN, objects=("ball",), null_frames=0), ThisProcess(), quiet)
+    assert csv_text(Row, again.rows) == csv_text(Row, found.rows[:3])
 
 
 @pytest.mark.slow

@@ -85,8 +85,9 @@ def sensor() -> Iterator[SensorCases]:
         yield found
 
 
-def test_all_of_it(sensor: SensorCases) -> None:
-    settings = grid(("fast",))
+def test_all_of_it(sensor: SensorCases, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "SLICE_MS", 5.0)
+    settings = grid(("fast",))[:2]
     rows = score_settings(settings, (sensor,), ThisProcess(), quiet)
     points, busy = weigh_and_time(settings, (sensor,), rows, quiet)
     assert [p.setting for p in points] == list(settings)
@@ -119,11 +120,10 @@ def test_the_same_images_give_the_same_rows_and_those_of_a_user_too(sensor: Sens
 
 def test_what_needs_more_weighs_more_and_what_was_there_nothing() -> None:
     paper = PROFILES["paper"]
-    settings = [Setting(paper), Setting(replace(paper, stride_px=8)), Setting(PROFILES["fast"])]
-    found = peak_memory(settings, enlarged_calibration(), [enlarged(TOUCHED)], lambda *_: None)
-    fine, coarse, fast = found
+    settings = [Setting(paper), Setting(replace(paper, stride_px=8))]
+    fine, coarse = peak_memory(settings, enlarged_calibration(), [enlarged(TOUCHED)], lambda *_: None)
     assert fine > coarse + 10  # a dozen complex maps of 440 x 440
-    assert all(0 < mib < 300 for mib in (coarse, fast))
+    assert 0 < coarse < 300
 
 
 def test_every_setting_is_timed_in_every_round() -> None:

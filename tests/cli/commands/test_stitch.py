@@ -224,6 +224,7 @@ def test_without_motion_the_delay_is_null(tmp_path: Path, capsys: pytest.Capture
     assert about["delay_ms"] is None
 
 
+@pytest.mark.slow
 def test_a_start_that_is_far_off_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected at most 15 mm and 15 degrees"):
         report_flange(tmp_path, start=shift(30, 0, 0) @ TRUE, moves=False)

@@ -70,6 +70,7 @@ def test_a_press_that_creeps_in_is_felt_as_early(profile: str) -> None:
     assert known >= 3
 
 
+@pytest.mark.slow
 def test_light_that_fades_is_reported_as_early() -> None:
     images = [nuisance.gain(unloaded(), 1 - 0.02 * k) for k in range(40)]
     made = fresh("balanced")

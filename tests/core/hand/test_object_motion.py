@@ -168,6 +168,7 @@ def test_where_every_patch_slips_the_motion_stands_still_and_nothing_is_observed
     assert len(slid.unobserved) == 6
 
 
+@pytest.mark.slow
 def test_at_rest_a_finger_that_comes_and_goes_adds_nothing_up() -> None:
     rng, tracker = np.random.default_rng(0), ObjectTracker()
     for k in range(600):

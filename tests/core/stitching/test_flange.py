@@ -63,6 +63,7 @@ def test_where_the_base_is_does_not_matter() -> None:
     assert np.linalg.norm(off(found)[3:6]) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turns", "names", "why"),
     [
@@ -83,6 +84,7 @@ def test_a_motion_that_is_missing_is_named(turns: Turns, names: str, why: str) -
     assert why in line
 
 
+@pytest.mark.slow
 def test_presses_that_do_not_overlap() -> None:
     given = [
         replace(frame, track=tuple(replace(pose, x_mm=pose.x_mm + 40 * frame.press) for pose in frame.track))
@@ -91,6 +93,7 @@ def test_presses_that_do_not_overlap() -> None:
     assert "hardly overlap" in unseen(given, TRUE, find_flange(given, TRUE, APEX_MM))
 
 
+@pytest.mark.slow
 def test_presses_that_stand_still_say_nothing_of_the_delay() -> None:
     given = exact_frames(TRUE, DELAY_MS, moving=False)
     found = find_flange(given, START, APEX_MM)

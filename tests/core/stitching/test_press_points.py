@@ -108,6 +108,7 @@ def test_normals_are_the_skins() -> None:
     np.testing.assert_allclose(touch.normals, touch.points_mm / HALF.skin_radius_mm, atol=0.01)
 
 
+@pytest.mark.slow
 def test_steep_places_say_little_of_height() -> None:
     touch = press_points(step("accurate", pressed("ball", 3.0).image).height, calibrated().geometry)
     upright = height_weight(touch, shift(1, 2, 3))
