@@ -137,7 +137,6 @@ class HandAggregator:
                     self._fingers[name] = _STARTING
 
     def hear(self, name: str, finger: Finger, now_ns: int) -> None:
-        """Store a finger's report."""
         before = self._fingers[name]
         self._period_ns[name] = now_ns - (self._heard_ns[name] or now_ns)
         self._fingers[name], self._heard_ns[name] = finger, now_ns
@@ -164,7 +163,6 @@ class HandAggregator:
         return max(until_ns if waits else self._news_ns, self._published_ns + GATHER_NS)
 
     def message(self, now_ns: int, wall_ns: int) -> HandObjects:
-        """Make the next message."""
         for name, finger in self._fingers.items():
             heard_ns = self._heard_ns[name] or self._listened_ns or now_ns
             if finger.state != "away" and now_ns - heard_ns > STALLED_NS:

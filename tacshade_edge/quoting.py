@@ -13,8 +13,8 @@ def quoted(text: str, chars_max: int = 60) -> str:
 
 def shown(text: object, chars_max: int = 300) -> str:
     """`text` unchanged if it is printable and short, else `quoted`. For names and paths."""
-    said = str(text)
-    return said if said.isprintable() and len(said) <= chars_max else quoted(said, chars_max)
+    plain = str(text)
+    return plain if plain.isprintable() and len(plain) <= chars_max else quoted(plain, chars_max)
 
 
 def escaped(text: str, chars_max: int = 1000) -> str:

@@ -8,32 +8,30 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import cv2
 import msgspec
 
 from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import FRAMES_SENT_S, LINK_STOPPED_S, THREADS_STOPPED_S, FrameObserver, SourceState
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.profiles import ActiveProfile, Stepped
 from tacshade_edge.daemon.publishing import Health, HomeAssistant, Preview, Publisher
-from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
+from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder
 from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.daemon.references import References
-from tacshade_edge.daemon.requests import Reply, Requests
-from tacshade_edge.daemon.systemd import Progress, Service
+from tacshade_edge.daemon.requests import Requests
+from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
-from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
@@ -44,13 +42,13 @@ from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.rigid import from_seven
-from tacshade_edge.settings import Document, Settings, digest, load
+from tacshade_edge.settings import Document, digest, load
 from tacshade_edge.storage.calibration import reference_file
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import Calibration
 from tacshade_edge.version import installed_version
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.hand import FingerLine, FingerReporter
+    from tacshade_edge.daemon.hand import FingerLine
     from tacshade_edge.daemon.robot import Robot
     from tacshade_edge.daemon.session_worker import SessionRequests
     from tacshade_edge.daemon.shared_line import SharedLine
@@ -64,17 +62,7 @@ STALL_S = 3.0
 EVENTS_MAX = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """A request to stop the daemon."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reload:
-    """A request to read the settings again."""
-
-
-Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded | Stepped
+Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | Request | Stepped
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,60 +74,6 @@ class Siblings:
 
 
 ALONE: Final = Siblings()
-
-
-@dataclass(frozen=True, slots=True)
-class OptionalParts:
-    """What `App` adds to its own parts: those that see a frame before it is published, and after.
-
-    `posed` adds the pose that is known at once to a frame, `interpolated` waits a moment for it; `verbs` carry out and
-    answer the requests with these verbs.
-    """
-
-    before_publishing: tuple[FrameObserver, ...]
-    after_publishing: tuple[FrameObserver, ...]
-    posed: Callable[[Frame], Frame] | None
-    interpolated: Callable[[Frame], Frame] | None
-    verbs: Mapping[str, Callable[[Request], None]]
-
-
-def make_optional_parts(
-    settings: Settings,
-    siblings: Siblings,
-    link: MqttLink,
-    reply: Reply,
-    ask: Callable[[Request], None],
-    status: Callable[[], dict[str, Any]],
-    missing: Callable[[], Reason | None],
-) -> OptionalParts:
-    """Make the parts; for `reply`, `ask`, `status` and `missing` see `Robot` and `SessionRequests`."""
-    robot: Robot | None = None
-    sessions: SessionRequests | None = None
-    finger: FingerReporter | None = None
-    follows = siblings.robot is not None and siblings.robot.hears is not None
-    port = None if follows else sources.make_serial_port(settings.serial)
-    if port or follows:
-        from tacshade_edge.daemon.robot import Robot  # imports pyserial
-
-        publish = partial(link.set_retained, "status/serial")
-        robot = Robot(port, ask, status, publish, missing, siblings.robot)
-    if sources.frames_have_poses(settings):
-        from tacshade_edge.daemon.session_worker import SessionRequests
-
-        folder = Path(settings.stitching.folder)
-        sessions = SessionRequests(folder, settings.sensor_id, link.set_retained, reply, robot)
-    if siblings.hand and settings.hand_T_sensor:
-        from tacshade_edge.daemon.hand import FingerReporter
-
-        finger = FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor))
-    return OptionalParts(
-        # Before, since a subscriber that sees a contact may begin a session.
-        before_publishing=(sessions,) if sessions else (),
-        after_publishing=tuple(part for part in (finger, robot) if part),
-        posed=robot.with_pose if robot else None,
-        interpolated=robot.with_interpolated_pose if robot else None,
-        verbs={"stitch": sessions.handle} if sessions else {},
-    )
 
 
 class App:
@@ -172,44 +106,76 @@ class App:
         profile = PROFILES.get(settings.profile, PROFILES[LADDER[-1]])
         first = known if isinstance(known, Reason) else make_reconstructor(known, profile)
         self._active = ActiveProfile(first, settings.profile, settings.latency_budget_ms, self._events.put)
-        optional = make_optional_parts(
-            settings, siblings, self.link, self._reply, self._on_request, self._status, self._missing
+        robot = self._make_robot(siblings.robot)
+        sessions = self._make_sessions(robot)
+        # Sessions before publishing, since a subscriber that sees a contact may begin one.
+        before: list[FrameObserver] = [sessions] if sessions else []
+        after: list[FrameObserver] = [robot] if robot else []
+        if siblings.hand and settings.hand_T_sensor:
+            from tacshade_edge.daemon.hand import FingerReporter
+
+            after.insert(0, FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor)))
+        self._recorder = LiveRecorder(
+            lambda: self._events.put("recorded"), robot.with_interpolated_pose if robot else None
         )
-        self._recorder = LiveRecorder(self._events.put, optional.interpolated)
         self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
         self._record = RecordRequests(
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
-        self._requests = Requests(
-            self._active, self._references, self._reply, self._status, self._changed, self._on_record, optional.verbs
-        )
+        verbs = {"record": self._on_record, **({"stitch": sessions.handle} if sessions else {})}
+        self._requests = Requests(self._active, self._references, self._reply, self._status, self._changed, verbs)
         timings = Timings()
         self._health = Health(self.ledger, timings)
         self._preview = Preview(self.link)
         # In the order in which they see a frame.
         self._observers: tuple[FrameObserver, ...] = (
-            *optional.before_publishing,
+            *before,
             *(self._publisher, self._health, self._preview, self._references),
-            *optional.after_publishing,
+            *after,
             *(self._active, self._requests, self._record),
         )
         self._pipeline = Pipeline(
-            source, self._active, self._observers, self.ledger, timings, self._events.put, optional.posed
+            source,
+            lambda: self._active.reconstructor,
+            self._observers,
+            self.ledger,
+            timings,
+            self._events.put,
+            robot.with_pose if robot else None,
         )
-        self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
+        self._service = Service(self._pipeline.grab, self._pipeline.reconstruct)
         self._camera = SourceState("away", Reason(ReasonCode.STARTING, "starting"))
         self._published_camera: SourceState | None = None
         self._published_limit: Reason | None = None
         self._latest_health: dict[str, Any] = {}
         self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
 
+    def _make_robot(self, line: SharedLine | None) -> Robot | None:
+        follows = line is not None and line.hears is not None
+        port = None if follows else sources.make_serial_port(self._document.settings.serial)
+        if not port and not follows:
+            return None
+        from tacshade_edge.daemon.robot import Robot  # imports pyserial
+
+        publish = partial(self.link.set_retained, "status/serial")
+        return Robot(port, self._on_request, self._status, publish, self._missing, line)
+
+    def _make_sessions(self, robot: Robot | None) -> SessionRequests | None:
+        settings = self._document.settings
+        if not sources.frames_have_poses(settings):
+            return None
+        from tacshade_edge.daemon.session_worker import SessionRequests
+
+        folder = Path(settings.stitching.folder)
+        return SessionRequests(folder, settings.sensor_id, self.link.set_retained, self._reply, robot)
+
     def stop(self) -> None:
         """Make `run` end; any thread and a signal handler may call it."""
-        self._events.put(Stop())
+        self._events.put("stop")
 
     def reload(self) -> None:
         """Make `run` read the settings and the calibration again; callable like `stop`."""
-        self._events.put(Reload())
+        self._events.put("reload")
 
     def run(self) -> None:
         """Work until `stop` or the end of a finite source.
@@ -229,7 +195,7 @@ class App:
             self._pipeline.start()
             for observer in self._observers:
                 observer.start()
-            self._service.ready()
+            notify("READY=1")
             self._loop()
             self._shut_down()
 
@@ -254,14 +220,14 @@ class App:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
                 continue
-            if isinstance(event, Stop):
+            if event == "stop":
                 return
             if isinstance(event, Crash):
                 event.error.add_note(f"in thread {event.thread}")
                 raise event.error
             if isinstance(event, Request):
                 self._requests.handle(event)
-            elif isinstance(event, Reload):
+            elif event == "reload":
                 self._reload()
             elif isinstance(event, Stepped):
                 if self._active.step(event):
@@ -275,9 +241,9 @@ class App:
 
     def _reload(self) -> None:
         """Apply what the settings file says now; if it is bad, change nothing."""
-        self._service.reloading()
+        notify_reloading()
         try:
-            new = reload(self._document, calibrated=self._missing() is None)
+            document, calibration, waiting = reload(self._document, calibrated=self._missing() is None)
         except ConfigError as error:
             note: Reason | None = Reason(error.code, f"rejected the reload and kept the running settings: {error}")
             _log.warning("%s", note)
@@ -285,20 +251,19 @@ class App:
                 self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
                 self._publish_info()
         else:
-            self._document = new.document
-            settings = new.document.settings
-            self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
+            self._document, settings = document, document.settings
+            self._references.reload(calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
             for observer in self._observers:
                 observer.settings_changed(settings)
-            self._recorder.event("reload", waiting=list(new.waiting))
+            self._recorder.event("reload", waiting=list(waiting))
             self._changed()
-            note = new.reason
+            text = f"restart the daemon to use the new {' and '.join(waiting)}"
+            note = Reason(ReasonCode.RESTART, text) if waiting else None
             _log.info("reloaded%s", f"; {note}" if note else "")
         self._service.reloaded(note)
 
     def _missing(self) -> Reason | None:
-        """Why there is no calibration; None if there is one."""
         reconstructor = self._active.reconstructor
         return reconstructor if isinstance(reconstructor, Reason) else None
 
@@ -321,7 +286,7 @@ class App:
         def left_s(due_s: float) -> float:
             return max(0.0, began_s + due_s - time.monotonic())
 
-        self._service.stopping()
+        notify_stopping()
         self._recorder.end(DAEMON_STOPPED)
         stops = [(THREADS_STOPPED_S, self._pipeline.stop), (FRAMES_SENT_S, self._give_up_frames)]
         stops += [(observer.stop_s, observer.stop) for observer in self._observers]
@@ -333,7 +298,6 @@ class App:
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
     def _give_up_frames(self, timeout_s: float) -> None:
-        """Settle the frames that are still in progress then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
             _log.warning("stopped without sending %d frames, which were still in progress", given_up)
@@ -374,8 +338,9 @@ class App:
             return_free_memory()
             self._changed()
 
-    def _on_record(self, request: Request, reconstructor: Reconstructor) -> None:
-        self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
+    def _on_record(self, request: Request) -> None:
+        if not isinstance(reconstructor := self._active.reconstructor, Reason):
+            self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
 
     # Publishing.
 
@@ -451,29 +416,11 @@ class App:
 RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 
-@dataclass(frozen=True, slots=True)
-class Reloaded:
-    """The settings file's present content, as far as a running daemon can apply it.
-
-    `document` has the running settings for every key in `RESTART_KEYS`; `waiting` are those that changed.
-    """
-
-    document: Document
-    calibration: Calibration | Reason
-    waiting: tuple[str, ...]
-
-    @property
-    def reason(self) -> Reason | None:
-        """Why not all of it is in use; None if all is."""
-        if not self.waiting:
-            return None
-        return Reason(ReasonCode.RESTART, f"restart the daemon to use the new {' and '.join(self.waiting)}")
-
-
-def reload(running: Document, *, calibrated: bool) -> Reloaded:
+def reload(running: Document, *, calibrated: bool) -> tuple[Document, Calibration | Reason, tuple[str, ...]]:
     """Read the settings and the calibration again; there must be one if there was (`calibrated`).
 
-    Raises ConfigError if the settings are bad, or the calibration does not fit the running source.
+    The result has the running settings for every key in `RESTART_KEYS`, and names those that changed. Raises
+    ConfigError if the settings are bad, or the calibration does not fit the running source.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
     sources.check_files(new)
@@ -481,4 +428,4 @@ def reload(running: Document, *, calibrated: bool) -> Reloaded:
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
     find = calibrations.load_calibration if calibrated else calibrations.find_calibration
-    return Reloaded(document, find(document), waiting)
+    return document, find(document), waiting

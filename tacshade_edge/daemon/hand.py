@@ -17,11 +17,12 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
 from tacshade_edge.daemon.pipeline import Crash, crashes_to
-from tacshade_edge.daemon.systemd import STOP_USEC, notify
+from tacshade_edge.daemon.systemd import notify, notify_stopping
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
 from tacshade_edge.free_memory import share_free_memory
@@ -42,44 +43,17 @@ class FingerLine:
     """A finger's end. If no hand's process reads it, the kernel takes some hundred messages and then no more."""
 
     def __init__(self, sock: socket.socket, wanted: mmap.mmap) -> None:
-        self._sock = sock
+        self.sock = sock
         self._wanted = wanted
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody listens to the hand."""
         return self._wanted[0] != 0
 
     def report(self, finger: Finger) -> None:
         """Send a report, or drop it if there is no room; the next comes soon."""
         with contextlib.suppress(OSError):
-            self._sock.send(encode_finger(finger))
-
-    def close(self) -> None:
-        """Close this end."""
-        self._sock.close()
-
-
-class HandLine:
-    """The hand's end of one finger's line."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._sock = sock
-
-    def fileno(self) -> int:
-        """The file descriptor, for a selector."""
-        return self._sock.fileno()
-
-    def close(self) -> None:
-        """Close this end."""
-        self._sock.close()
-
-    def take(self) -> Finger | None:
-        """The oldest report that waits; None if none does. Raises DecodeError."""
-        try:
-            return decode_finger(self._sock.recv(BYTES_MAX))
-        except BlockingIOError:
-            return None
+            self.sock.send(encode_finger(finger))
 
 
 class Lines:
@@ -88,27 +62,28 @@ class Lines:
     def __init__(self, names: Sequence[str]) -> None:
         self._wanted = mmap.mmap(-1, 1)
         self.fingers: dict[str, FingerLine] = {}
-        self.hand: dict[str, HandLine] = {}
+        self.hand: dict[str, socket.socket] = {}
         for name in names:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
             ours.setblocking(False)
             theirs.setblocking(False)
-            self.hand[name], self.fingers[name] = HandLine(ours), FingerLine(theirs, self._wanted)
+            self.hand[name], self.fingers[name] = ours, FingerLine(theirs, self._wanted)
 
     def end(self, name: str) -> None:
         """Report for a finger that its process has ended."""
         if name in self.fingers:
             self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended")))
 
-    def close(self) -> None:
-        """Close this process's ends."""
-        for name, finger in self.fingers.items():
-            finger.close()
-            self.hand[name].close()
-
     def want(self, wanted: bool) -> None:
         """Notify all fingers whether somebody listens to the hand."""
         self._wanted[0] = wanted
+
+    def take(self, name: str) -> Finger | None:
+        """A finger's oldest report that waits; None if none does. Raises DecodeError."""
+        try:
+            return decode_finger(self.hand[name].recv(BYTES_MAX))
+        except BlockingIOError:
+            return None
 
 
 PERIOD_NS: Final = 100_000_000  # without contact; in contact, every frame is reported
@@ -124,7 +99,6 @@ class FingerReporter(FrameObserver):
         self._reported_ns = 0
 
     def need(self) -> Need:
-        """How much of the next frame the hand needs."""
         return Need.DEPTH if self._line.wanted else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
@@ -138,7 +112,6 @@ class FingerReporter(FrameObserver):
             self._line.report(finger_of(result, self._hand_T_sensor))
 
     def settings_changed(self, settings: Settings) -> None:
-        """Take the sensor's new pose in its hand."""
         if settings.hand_T_sensor:
             self._hand_T_sensor = from_seven(settings.hand_T_sensor)
 
@@ -175,10 +148,9 @@ class HandProcess:
         self._wakes.setblocking(False)
         self._selector.register(self._wakes, selectors.EVENT_READ)
         for name, line in lines.hand.items():
-            self._selector.register(line, selectors.EVENT_READ, (name, line))
+            self._selector.register(line, selectors.EVENT_READ, name)
 
     def stop(self) -> None:
-        """Make `run` end; a signal handler may call it."""
         self._stopping = True
         self._rouse()
 
@@ -189,7 +161,7 @@ class HandProcess:
             self._link.start()
             notify("READY=1")
             self._loop()
-        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+        notify_stopping()
         self._lines.want(False)
         self._publish_health()
         self._link.stop(STOPPED_S)
@@ -220,16 +192,16 @@ class HandProcess:
                 if key.data is None:
                     self._wakes.recv(4096)
                 else:
-                    self._hear(*key.data)
+                    self._hear(key.data)
             if self._crashes:
                 error = self._crashes[0].error
                 error.add_note(f"in thread {self._crashes[0].thread}")
                 raise error
 
-    def _hear(self, name: str, line: HandLine) -> None:
+    def _hear(self, name: str) -> None:
         """Take a finger's reports, but only so many at once: a finger may never stop."""
         try:
-            for finger in itertools.islice(iter(line.take, None), AT_ONCE):
+            for finger in itertools.islice(iter(partial(self._lines.take, name), None), AT_ONCE):
                 self._heard[name] += 1
                 self._aggregator.hear(name, finger, time.monotonic_ns())
         except DecodeError as error:

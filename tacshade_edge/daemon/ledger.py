@@ -17,40 +17,20 @@ WINDOW_FRAMES = 512
 
 @dataclass(slots=True)
 class Counts:
-    """Frames since the start; captured is the sum of the others.
+    """Frames since the start; captured is the sum of the others."""
 
-    Attributes
-    ----------
-    captured : int
-        The source delivered them (including undecodable ones).
-    published : int
-        Their height map was handed to the broker.
-    superseded : int
-        A newer frame replaced them before they were reconstructed or sent.
-    without_contact : int
-        Reconstructed; nothing touched, so there was nothing to send.
-    unasked : int
-        In contact, but nobody subscribes to the height map: not sent, and reconstructed only as far as needed.
-        Also frames that were skipped because nobody needs any.
-    invalid : int
-        Could not be used (black, torn, wrong size...).
-    failed : int
-        Could not be decoded or sent.
-    pending : int
-        Still in progress; 0 after a stop.
-    """
-
-    captured: int = 0
-    published: int = 0
-    superseded: int = 0
-    without_contact: int = 0
+    captured: int = 0  # the source delivered them, including undecodable ones
+    published: int = 0  # their height map was handed to the broker
+    superseded: int = 0  # a newer frame replaced them before they were reconstructed or sent
+    without_contact: int = 0  # reconstructed; nothing touched, so there was nothing to send
+    # In contact, but nobody subscribes to the height map: not sent, and reconstructed only as far as needed. Also
+    # frames that were skipped because nobody needs any.
     unasked: int = 0
-    invalid: int = 0
-    failed: int = 0
-    pending: int = 0
+    invalid: int = 0  # black, torn, wrong size...
+    failed: int = 0  # could not be decoded or sent
+    pending: int = 0  # still in progress; 0 after a stop
 
     def as_dict(self) -> dict[str, int]:
-        """The counts by name."""
         return asdict(self)
 
 
@@ -64,7 +44,6 @@ class FrameLedger:
         self._closed = False
 
     def captured(self, seq: int) -> None:
-        """Record that a frame arrived."""
         with self._changed:
             if self._closed:
                 return
@@ -88,7 +67,6 @@ class FrameLedger:
                 self._counts.unasked += 1
 
     def settle(self, seq: int, outcome: FrameOutcome) -> None:
-        """Record a frame's outcome."""
         with self._changed:
             if not self._closed:
                 self._open.remove(seq)
@@ -106,7 +84,6 @@ class FrameLedger:
             return given_up
 
     def counts(self) -> Counts:
-        """A consistent copy of the counts."""
         with self._changed:
             return Counts(**{**asdict(self._counts), "pending": len(self._open)})
 
@@ -119,7 +96,6 @@ class Timings:
         self._ms: dict[str, deque[float]] = {}
 
     def add(self, ms: Mapping[str, float]) -> None:
-        """Add one frame's durations."""
         with self._lock:
             for name, value in ms.items():
                 self._ms.setdefault(name, deque(maxlen=WINDOW_FRAMES)).append(value)
@@ -143,12 +119,10 @@ class StageTimer:
         self.ended = 0  # number of stages, of all frames
 
     def begin(self) -> None:
-        """Begin a frame."""
         self.ms = {}
         self.last_ns = time.monotonic_ns()
 
     def mark(self, stage: str) -> None:
-        """End a stage."""
         now_ns = time.monotonic_ns()
         self.ms[stage] = (now_ns - self.last_ns) / 1e6
         self.last_ns = now_ns

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
-from tacshade_edge.reasons import Reason
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 # Deadlines after the beginning of a stop, even if something hangs: a part that ends early leaves its time to the next.
 SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S = 0.1, 0.9, 1.1
 RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
+
+FRAME_TIMEOUT_NS = 5_000_000_000
+WAITING_MAX = 16
+R = TypeVar("R", bound=Callable[[Any], None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +92,45 @@ class FrameObserver:
 
     def stop(self, timeout_s: float) -> None:
         """Stop within this time."""
+
+
+class FrameWaiters(Generic[R]):
+    """Commands, as the functions that answer them, that wait for the first frame taken after them; for any thread."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[int, R]] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, since_ns: int, reply: R) -> None:
+        """Wait for a frame taken at `since_ns` or later; refuse at once if too many wait."""
+        with self._lock:
+            busy = len(self._waiting) >= WAITING_MAX
+            if not busy:
+                self._waiting.append((since_ns, reply))
+        if busy:
+            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} {self._what}"))
+
+    def take(self, t_ns: int) -> list[R]:
+        """Remove and return those that wait for a frame of `t_ns`."""
+        return self._remove(lambda since_ns: since_ns <= t_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """Refuse those that have waited too long."""
+        for reply in self._remove(lambda since_ns: now_ns - since_ns > FRAME_TIMEOUT_NS):
+            reply(Reason(ReasonCode.TIMEOUT, f"no frame within {FRAME_TIMEOUT_NS / 1e9:.0f} s"))
+
+    def refuse_all(self, reason: Reason) -> None:
+        for reply in self._remove(lambda _: True):
+            reply(reason)
+
+    def _remove(self, due: Callable[[int], bool]) -> list[R]:
+        if not self._waiting:
+            return []
+        with self._lock:
+            removed = [reply for since_ns, reply in self._waiting if due(since_ns)]
+            self._waiting = [waiting for waiting in self._waiting if not due(waiting[0])]
+        return removed

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -38,13 +38,14 @@ class Crash:
 class Pipeline:
     """The graph. One of the `observers`, which see a frame in this order, settles it in the ledger.
 
+    `running` is the reconstructor for the next frame, or the reason that there is none and no frame is valid;
     `report` receives each new `SourceState` in the grab thread; `posed` adds the pose to a frame.
     """
 
     def __init__(
         self,
         source: FrameSource,
-        running: Running,
+        running: Callable[[], Reconstructor | Reason],
         observers: Sequence[FrameObserver],
         ledger: FrameLedger,
         timings: Timings,
@@ -62,7 +63,6 @@ class Pipeline:
         )
 
     def start(self) -> None:
-        """Start both threads."""
         for thread in self._threads:
             thread.start()
 
@@ -179,11 +179,9 @@ class Grab:
         self._wants_next = wants_next
 
     def stop(self) -> None:
-        """Make `run` return after its current read."""
         self._stop.set()
 
     def run(self) -> None:
-        """Read until `stop`, or until a finite source ends."""
         while not self._stop.is_set():
             self.attempts += 1
             try:
@@ -203,7 +201,7 @@ class Grab:
         while not self._stop.is_set():
             wanted = self._wants_next()
             try:
-                went_on = self._read(wanted) if wanted or self._is_tapped() else self._skip()
+                went_on = self._read(wanted) if wanted or any(each.tap for each in self._tapping) else self._skip()
             except DecodeError as error:
                 _log.debug("%s", error)
                 self.attempts += 1
@@ -240,22 +238,10 @@ class Grab:
             self._ledger.unasked()
         return went_on
 
-    def _is_tapped(self) -> bool:
-        return any(each.tap for each in self._tapping)
-
     def _change_state(self, state: SourceState) -> None:
         if state != self._reported:
             self._reported = state
             self._report(state)
-
-
-class Running(Protocol):
-    """Provides the reconstructor."""
-
-    @property
-    def reconstructor(self) -> Reconstructor | Reason:
-        """The reconstructor for the next frame, or the reason that there is none and no frame is valid."""
-        ...
 
 
 class Reconstruct:
@@ -266,7 +252,7 @@ class Reconstruct:
 
     def __init__(
         self,
-        running: Running,
+        running: Callable[[], Reconstructor | Reason],
         mailbox: Mailbox[Frame],
         timings: Timings,
         observers: Sequence[FrameObserver],
@@ -291,7 +277,6 @@ class Reconstruct:
         return self._timer.ended
 
     def run(self) -> None:
-        """Work until the mailbox is closed and empty."""
         while (frame := self._mailbox.take()) is not None:
             self.taken += 1
             self._process(frame, self._need())
@@ -306,7 +291,7 @@ class Reconstruct:
         return True
 
     def _process(self, frame: Frame, need: Need) -> None:
-        timer, reconstructor = self._timer, self._running.reconstructor
+        timer, reconstructor = self._timer, self._running()
         timer.begin()
         began_ns = timer.last_ns
         timer.ms["wait"] = (began_ns - frame.t_ns) / 1e6

@@ -187,7 +187,6 @@ class ActiveProfile(FrameObserver):
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The values that `choose` accepts."""
         return tuple(PROFILES) if self.budget_ms is None else (*PROFILES, AUTO)
 
     def choose(self, choice: str) -> None:
@@ -210,7 +209,6 @@ class ActiveProfile(FrameObserver):
             self.reconstructor = self._kept[self.name]
 
     def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
-        """Apply the settings."""
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
         self.budget_ms = budget_ms
         if unchanged or isinstance(calibration, Reason):
@@ -226,14 +224,8 @@ class ActiveProfile(FrameObserver):
         step, before = stepped.step, self.name
         self.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
-        _log.info(
-            "profile %s: stepped from %s %s to %s: %s",
-            AUTO,
-            before,
-            "up" if step.up else "down",
-            step.profile,
-            step.reason,
-        )
+        to = f"{'up' if step.up else 'down'} to {step.profile}"
+        _log.info("profile %s: stepped from %s %s: %s", AUTO, before, to, step.reason)
         return True
 
     def health(self) -> dict[str, Any] | None:
@@ -251,7 +243,6 @@ class ActiveProfile(FrameObserver):
         }
 
     def see(self, seen: FrameResult) -> None:
-        """Let `AUTO` judge the latency of a contact."""
         if self._chooser is not None and (made := seen.reconstruction) is not None and made.contact:
             now_ns = time.monotonic_ns()
             self.observe(made.profile, now_ns, (now_ns - seen.frame.t_ns) / 1e6, seen.step_ms)
@@ -273,12 +264,8 @@ class ActiveProfile(FrameObserver):
         if late and self._chooser.lowest and not self._late_logged:
             self._late_logged = True
             profile = self._chooser.profile
-            _log.warning(
-                "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms",
-                profile,
-                budget_ms,
-                within_ms,
-            )
+            found = "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms"
+            _log.warning(found, profile, budget_ms, within_ms)
 
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
         """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
@@ -294,10 +281,8 @@ class ActiveProfile(FrameObserver):
         self.reconstructor = self._kept[chooser.profile]
         self._chooser = chooser
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
-        _log.info(
-            "profile %s: starting with %s for a budget of %g ms; measured costs: %s",
-            *(AUTO, chooser.profile, self.budget_ms, costs),
-        )
+        start = "profile %s: starting with %s for a budget of %g ms; measured costs: %s"
+        _log.info(start, AUTO, chooser.profile, self.budget_ms, costs)
 
 
 def step_cost_ms(reconstructor: Reconstructor) -> float:

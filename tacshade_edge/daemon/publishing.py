@@ -56,7 +56,6 @@ class Publisher(FrameObserver):
         self.fps = 0.0
 
     def need(self) -> Need:
-        """How much of a frame the listeners need."""
         need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
         if self._has_listener("sigma"):
             need |= Need.SIGMA
@@ -67,11 +66,9 @@ class Publisher(FrameObserver):
         return need
 
     def settings_changed(self, settings: Settings) -> None:
-        """Request shear as the settings say."""
         self._always_shear = settings.shear == "always"
 
     def see(self, seen: FrameResult) -> None:
-        """Offer the messages of this result."""
         if (result := seen.reconstruction) is None:
             self._settle(seen.frame.seq, "unasked")
             return
@@ -140,7 +137,6 @@ class Health(FrameObserver):
         self.unusable: Reason | None = None
 
     def see(self, seen: FrameResult) -> None:
-        """Keep the newest reconstruction."""
         self._latest = seen.reconstruction or self._latest
 
     def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
@@ -198,7 +194,6 @@ class Preview(FrameObserver):
         self._published: Frame | None = None
 
     def see(self, seen: FrameResult) -> None:
-        """Keep the newest frame."""
         self._latest = seen.frame
 
     def publish(self) -> None:

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
@@ -55,7 +56,6 @@ class ByteQueue(Generic[T]):
             self._ready.notify()
 
     def take(self, timeout_s: float) -> T | None:
-        """The oldest item; None if none came in time, or if the queue is drained."""
         with self._ready:
             self._ready.wait_for(lambda: self._items or self._closed, timeout_s)
             if not self._items:
@@ -65,14 +65,12 @@ class ByteQueue(Generic[T]):
             return item
 
     def close(self) -> None:
-        """Accept nothing more; what is in the queue can still be taken."""
         with self._ready:
             self._closed = True
             self._ready.notify_all()
 
     @property
     def drained(self) -> bool:
-        """Whether the queue is closed and empty."""
         with self._ready:
             return self._closed and not self._items
 
@@ -94,7 +92,6 @@ class Shot:
 
     @property
     def t_ns(self) -> int:
-        """Capture time, CLOCK_MONOTONIC, ns."""
         return self.frame.t_ns
 
 
@@ -119,20 +116,17 @@ class Kept:
         self.frames = self.given_up = 0
 
     def add(self, item: Shot | Event) -> None:
-        """Add the newest item."""
         self._items.append(item)
         self._bytes += _size(item)
         self.frames += isinstance(item, Shot)
 
     def take(self) -> Shot | Event:
-        """Remove and return the oldest item. Raises IndexError if there is none."""
         item = self._items.popleft()
         self._bytes -= _size(item)
         self.frames -= isinstance(item, Shot)
         return item
 
     def forget(self, oldest_ns: int) -> None:
-        """Remove items older than this time."""
         while self._items and self._items[0].t_ns < oldest_ns:
             self.take()
 
@@ -163,11 +157,6 @@ GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, Re
 
 
 @dataclass(frozen=True, slots=True)
-class RecordingEnded:
-    """A recording's thread has ended: `LiveRecorder.poll` has its figures."""
-
-
-@dataclass(frozen=True, slots=True)
 class Recorded:
     """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in it.
 
@@ -182,7 +171,6 @@ class Recorded:
 
     @property
     def failed(self) -> bool:
-        """Whether something went wrong."""
         return self.ending is not None and self.ending.code not in GOOD_ENDINGS
 
     def as_dict(self) -> dict[str, str | int | float]:
@@ -196,26 +184,19 @@ class Recorded:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    recorder: Recorder
-    settings_yaml: str
-    calibration: Calibration
-    about: Mapping[str, object]
-    oldest_ns: int
-    refused: int  # before the request
-
-
 class _Job:
     """One recording, or the frames kept before one is requested. Its first ending counts."""
 
     def __init__(self, pre_roll_ns: int, posed: Posed | None) -> None:
-        self.asked: _Asked | None = None
+        self.recorder: Recorder | None = None  # once a recording is requested
+        self.calibration_crc32 = 0
         self.end_ns = 0
         self.waiting: ByteQueue[Frame | Event] = ByteQueue(QUEUE_BYTES)
         self.kept = Kept()
         self.ending: Reason | None = None
         self.done = False
+        self._about: Mapping[str, object] = {}
+        self._refused = 0  # before the request
         self._pre_roll_ns = pre_roll_ns
         self._oldest_ns = 0
         self._posed = posed
@@ -223,26 +204,21 @@ class _Job:
         self._first: tuple[int, int] | None = None
 
     def start(
-        self,
-        recorder: Recorder,
-        seconds: float,
-        settings_yaml: str,
-        calibration: Calibration,
-        about: Mapping[str, object],
+        self, recorder: Recorder, begin: Callable[[], None], seconds: float, crc32: int, about: Mapping[str, object]
     ) -> None:
         """Write what is kept, and what comes."""
         now_ns = time.monotonic_ns()
         self.end_ns = now_ns + round(seconds * 1e9)
-        oldest_ns = max(now_ns - self._pre_roll_ns, self._oldest_ns) if self._pre_roll_ns else 0
-        self.asked = _Asked(recorder, settings_yaml, calibration, about, oldest_ns, self.waiting.refused)
+        self._oldest_ns = max(now_ns - self._pre_roll_ns, self._oldest_ns) if self._pre_roll_ns else 0
+        self._refused, self._begin, self.calibration_crc32, self._about = self.waiting.refused, begin, crc32, about
+        self.recorder = recorder  # last: the thread begins to write
 
     def tap(self, frame: Frame) -> None:
         """Take the next captured frame; called in the grab thread."""
-        if self.asked is None or frame.t_ns <= self.end_ns:
+        if self.recorder is None or frame.t_ns <= self.end_ns:
             self.waiting.put(frame, frame.image.nbytes)
 
     def forget(self) -> None:
-        """Discard everything up to now."""
         self._oldest_ns = time.monotonic_ns()
 
     def end(self, ending: Reason) -> None:
@@ -251,26 +227,25 @@ class _Job:
         self.waiting.close()
 
     def now(self) -> Recorded | None:
-        """The present figures; None if no recording was requested."""
-        if (asked := self.asked) is None:
+        if (recorder := self.recorder) is None:
             return None
-        dropped = self.waiting.refused - asked.refused + self._lost
-        return Recorded(asked.recorder.folder, asked.recorder.frames, asked.recorder.bytes, dropped, self.ending)
+        dropped = self.waiting.refused - self._refused + self._lost
+        return Recorded(recorder.folder, recorder.frames, recorder.bytes, dropped, self.ending)
 
     def pre_roll_dropped(self) -> int:
         """Number of frames recent enough to be kept that were not, until the recording was requested."""
-        return self.kept.given_up + (self.asked.refused if self.asked else self.waiting.refused)
+        return self.kept.given_up + (self._refused if self.recorder else self.waiting.refused)
 
     def work(self) -> bool:
         """Run the thread: keep frames until a recording is requested, then write to its end; return whether one was."""
-        while self.asked is None and not self.waiting.drained:
+        while self.recorder is None and not self.waiting.drained:
             if (item := self._take(SYNC_S)) is not None:
                 self.kept.add(item)
                 self.kept.forget(max(item.t_ns - self._pre_roll_ns, self._oldest_ns))
                 self.kept.bound(PRE_ROLL_BYTES)
-        if self.asked is not None:
-            self._write(self.asked)
-        return self.asked is not None
+        if self.recorder is not None:
+            self._write(self.recorder)
+        return self.recorder is not None
 
     def _take(self, timeout_s: float) -> Shot | Event | None:
         item = self.waiting.take(timeout_s)
@@ -279,11 +254,11 @@ class _Job:
         frame = item if self._posed is None else self._posed(item)
         return Shot(replace(frame, image=_NO_PIXELS), png_of(frame.image))
 
-    def _write(self, asked: _Asked) -> None:
-        self.kept.forget(asked.oldest_ns)
+    def _write(self, recorder: Recorder) -> None:
+        self.kept.forget(self._oldest_ns)
         try:
-            asked.recorder.begin(asked.settings_yaml, asked.calibration)
-            self._write_all(asked.recorder)
+            self._begin()
+            self._write_all(recorder)
         except DeviceError as error:
             self.end(error.reason)
         self._lost += sum(isinstance(self.waiting.take(0), Frame) for _ in range(len(self.waiting)))
@@ -292,11 +267,11 @@ class _Job:
         now = self.now()
         assert now is not None
         try:
-            asked.recorder.finish({**now.as_dict(), **times, **asked.about})
+            recorder.finish({**now.as_dict(), **times, **self._about})
         except DeviceError as error:
             if not now.failed:
                 self.ending = error.reason
-            asked.recorder.close()
+            recorder.close()
         self.done = True
 
     def _write_all(self, recorder: Recorder) -> None:
@@ -328,11 +303,12 @@ class _Job:
 class LiveRecorder:
     """Starts and ends recordings; only the main thread uses it.
 
-    `report` and `posed`, which adds the pose to a frame and may wait a moment, are called in the recording's thread.
-    `tap` takes the next captured frame, in the grab thread; it is None while no frame is wanted.
+    `report` (a recording was written) and `posed`, which adds the pose to a frame and may wait a moment, are called in
+    the recording's thread. `tap` takes the next captured frame, in the grab thread; it is None while no frame is
+    wanted.
     """
 
-    def __init__(self, report: Callable[[RecordingEnded], None], posed: Posed | None = None) -> None:
+    def __init__(self, report: Callable[[], None], posed: Posed | None = None) -> None:
         self.tap: Callable[[Frame], None] | None = None
         self._posed = posed
         self._report = report
@@ -345,7 +321,7 @@ class LiveRecorder:
     def keep_pre_roll(self, pre_roll_s: float) -> None:
         """Make recordings begin this long before their request, from the next one on; 0: at the request."""
         pre_roll_ns = round(pre_roll_s * 1e9)
-        if pre_roll_ns != self._pre_roll_ns and self._job is not None and self._job.asked is None:
+        if pre_roll_ns != self._pre_roll_ns and self._job is not None and self._job.recorder is None:
             self.tap = None
             self._close(self._job)
         self._pre_roll_ns = pre_roll_ns
@@ -369,14 +345,15 @@ class LiveRecorder:
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder, free_floor_bytes=FREE_FLOOR_BYTES)
         job = self._job or _Job(0, self._posed)
-        job.start(recorder, seconds, settings_yaml, calibration, about)
+        begin = partial(recorder.begin, settings_yaml, calibration)
+        job.start(recorder, begin, seconds, calibration.crc32, about)
         if job is not self._job:
             self._run(job)
 
     def _run(self, job: _Job) -> None:
         def run() -> None:
             if job.work():
-                self._report(RecordingEnded())
+                self._report()
 
         self._job, self._thread = job, threading.Thread(target=run, name="record", daemon=True)
         self._thread.start()
@@ -395,7 +372,6 @@ class LiveRecorder:
             self._job.end(ending)
 
     def event(self, kind: str, **data: object) -> None:
-        """Record something that a person who looks at the recording must know."""
         if self._job is not None:
             event = Event(time.monotonic_ns(), kind, data)
             self._job.waiting.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
@@ -406,18 +382,17 @@ class LiveRecorder:
         if (job := self._job) is None:
             return
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
-        if job.asked is None and other:
+        if job.recorder is None and other:
             job.forget()
-        elif job.asked and calibration_crc32 != job.asked.calibration.crc32:
-            text = "the reference or calibration changed"
-            self.end(Reason(ReasonCode.CALIBRATION_CHANGED, text))
+        elif job.recorder and calibration_crc32 != job.calibration_crc32:
+            self.end(Reason(ReasonCode.CALIBRATION_CHANGED, "the reference or calibration changed"))
 
     def poll(self) -> Recorded | None:
         """End a recording that is over; return one that was finished since the last call."""
         if self._job is None and self._pre_roll_ns:
             self._run(_Job(self._pre_roll_ns, self._posed))
         job = self._job
-        if job is None or job.asked is None:
+        if job is None or job.recorder is None:
             return None
         if not job.ending and time.monotonic_ns() > job.end_ns:
             self.end(TIME)
@@ -433,7 +408,6 @@ class LiveRecorder:
         return recorded
 
     def now(self) -> Recorded | None:
-        """The recording that runs or is being finished."""
         return self._job.now() if self._job else None
 
     def counts(self) -> dict[str, int]:
@@ -448,6 +422,5 @@ class LiveRecorder:
         return {**counts, "pre_roll": kept, "pre_roll_dropped": self._pre_roll_dropped + given_up}
 
     def join(self, timeout_s: float) -> None:
-        """Wait for the recording's thread."""
         if self._thread is not None:
             self._thread.join(timeout_s)

@@ -59,7 +59,6 @@ class RecordRequests(FrameObserver):
             _log.warning("%s", error)
 
     def handle(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> None:
-        """Carry out or refuse one request."""
         try:
             if request.action == "start":
                 folder = self._start(request, settings, reconstructor, source)
@@ -79,15 +78,12 @@ class RecordRequests(FrameObserver):
         return self._recorder.tap
 
     def health(self) -> dict[str, int]:
-        """The recorder's counts."""
         return self._recorder.counts()
 
     def settings_changed(self, settings: Settings) -> None:
-        """Keep as much pre-roll as the settings say."""
         self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
 
     def source_changed(self, source: SourceState) -> None:
-        """Write the source's state into the recording."""
         self._recorder.event("source", state=source.state, **reason_fields(source.reason))
 
     def stop(self, timeout_s: float) -> None:
@@ -96,7 +92,6 @@ class RecordRequests(FrameObserver):
         self.poll()
 
     def poll(self) -> None:
-        """Publish what has changed; answer a ``stop`` whose recording is written."""
         recorded = self._recorder.poll()
         if recorded is not None:
             self._latest = recorded
@@ -156,5 +151,4 @@ class RecordRequests(FrameObserver):
 
 
 def _replayable(settings: Settings) -> str:
-    """The settings file of a recording, which names the calibration next to it."""
     return to_yaml(msgspec.structs.replace(settings, calibration=CALIBRATION_NAME))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,60 +24,50 @@ from tacshade_edge.storage.calibration.reference_file import StoredReference
 from tacshade_edge.storage.folder_lock import FolderLock
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
-REFERENCE_FRAMES = 10
+_log = logging.getLogger(__name__)
+
+REFERENCE_FRAMES = UNTOUCHED_FRAMES = 10
+REST_S = 10.0  # a dent after a release is gone after 3 s; a soft skin under a long press needs a little more
+PERIOD_S = 60.0  # what the reference follows changes over minutes and years
+GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
 
 
 class ReferenceCollector:
-    """Collects the images of the next frames; one touched or invalid frame spoils them.
+    """Collects the images of the next frames; a touched or invalid frame ends it.
 
-    `done` is called once, with all images or the reason that they cannot be used.
+    `outcome` is None until there are all images, or the reason that they cannot be used.
     """
 
-    def __init__(self, done: Callable[[list[U8] | Reason], None]) -> None:
-        self._done = done
+    def __init__(self) -> None:
+        self.outcome: list[U8] | Reason | None = None
         self._images: list[U8] = []
-        self._finished = False
 
     def see(self, frame: Frame, result: Reconstruction) -> None:
-        """Take the next frame."""
-        if self._finished:
+        if self.outcome is not None:
             return
         if not result.valid:
             found = f"frame {frame.seq}: found an invalid frame ({result.reason})"
             expected = "expected a valid frame of an untouched sensor"
-            self._finish(Reason(ReasonCode.FRAME_INVALID, f"{found}, {expected}"))
+            self.outcome = Reason(ReasonCode.FRAME_INVALID, f"{found}, {expected}")
         elif result.contact:
             found = f"frame {frame.seq}: found a contact {result.depth_max_mm:.2f} mm deep"
-            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected no contact"))
+            self.outcome = Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected no contact")
         else:
             self._images.append(frame.image)
             if len(self._images) == REFERENCE_FRAMES:
-                self._finish(self._images)
-
-    def _finish(self, outcome: list[U8] | Reason) -> None:
-        self._finished = True
-        self._done(outcome)
-
-
-UNTOUCHED_FRAMES = 10
-# A dent after a release is gone after 3 s; a soft skin under a long press needs a little more.
-REST_S = 10.0
-# What the reference follows changes over minutes and years.
-PERIOD_S = 60.0
-# After a longer gap between frames, nobody knows what touched.
-GAP_S = 3.0
+                self.outcome = self._images
 
 
 class UntouchedFrames:
     """Ten frames of a sensor at rest once per `PERIOD_S`; a touched, invalid or doubtful frame ends them.
 
     The reconstruct thread passes in every frame, the main thread takes the result. Time is that of the frames. Nothing
-    touched in the latest frame if `at_rest`; `spoiled` counts how often frames were begun and not finished.
+    touched in the latest frame if `at_rest`; `discarded` counts how often frames were begun and not finished.
     """
 
     def __init__(self) -> None:
         self.at_rest = False
-        self.spoiled = 0
+        self.discarded = 0
         self._images: list[U8] = []
         self._finished: list[U8] | Reason | None = None  # set by one thread, cleared by the other
         self._last_ns: int | None = None
@@ -91,38 +81,26 @@ class UntouchedFrames:
         return finished
 
     def see(self, frame: Frame, result: Reconstruction | None) -> None:
-        """Take the next frame; one without a result shows a contact."""
         now_ns, last_ns = frame.t_ns, self._last_ns
         self._last_ns = now_ns
         known = last_ns is not None and 0 <= now_ns - last_ns <= GAP_S * 1e9
         self.at_rest = result is not None and result.valid and not result.contact
         if not known or not self.at_rest:
             self._touched_ns = now_ns
-            self._spoil()
+            self._discard()
         elif self._finished is None and now_ns >= max(self._due_ns, self._touched_ns + int(REST_S * 1e9)):
-            self._add(frame, result.degraded if result else None)
+            doubt = result.degraded if result else None
+            if doubt:
+                self._discard()
+            else:
+                self._images.append(frame.image)
+            if doubt or len(self._images) == UNTOUCHED_FRAMES:
+                self._due_ns = now_ns + int(PERIOD_S * 1e9)
+                self._finished, self._images = doubt or self._images, []
 
-    def _add(self, frame: Frame, doubt: Reason | None) -> None:
-        if doubt is not None:
-            self._spoil()
-            self._finish(doubt, frame.t_ns)
-            return
-        self._images.append(frame.image)
-        if len(self._images) == UNTOUCHED_FRAMES:
-            images, self._images = self._images, []
-            self._finish(images, frame.t_ns)
-
-    def _finish(self, outcome: list[U8] | Reason, now_ns: int) -> None:
-        self._due_ns = now_ns + int(PERIOD_S * 1e9)
-        self._finished = outcome
-
-    def _spoil(self) -> None:
-        if self._images:
-            self._images = []
-            self.spoiled += 1
-
-
-_log = logging.getLogger(__name__)
+    def _discard(self) -> None:
+        self.discarded += bool(self._images)
+        self._images = []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +119,6 @@ class Origin:
     reason: Reason | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The content for ``info``."""
         return {
             "origin": self.source,
             "wall_ns": self.wall_ns,
@@ -217,9 +194,8 @@ class References(FrameObserver):
         self.reload(calibrated, path)
 
     def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
-        """Start again from the present files."""
         if path != self._path:
-            self.close()
+            self.stop()
             self._path = path
         if isinstance(calibrated, Reason):
             self._origin = self.calibration = calibrated
@@ -228,14 +204,9 @@ class References(FrameObserver):
             self._begin(restored(calibrated, path, self._unowned))
 
     def see(self, seen: FrameResult) -> None:
-        """Take a frame to follow from; called in the reconstruct thread."""
         self.frames.see(seen.frame, seen.reconstruction)
 
-    def stop(self, timeout_s: float) -> None:
-        """Let another daemon have the stored reference."""
-        self.close()
-
-    def close(self) -> None:
+    def stop(self, timeout_s: float = 0) -> None:
         """Let another daemon have the stored reference."""
         if self._lock is not None:
             self._lock.release()
@@ -303,7 +274,7 @@ class References(FrameObserver):
             **reason_fields(self._reason),
             "looks": self._looks,
             "renewals": self._renewals,
-            "spoiled": self.frames.spoiled,
+            "spoiled": self.frames.discarded,
             **_figures(self._distance),
         }
 

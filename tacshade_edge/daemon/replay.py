@@ -56,11 +56,9 @@ class Progress:
 
     @property
     def speed_up(self) -> float:
-        """Recorded time divided by our time."""
         return self.recorded_seconds / self.seconds if self.seconds > 0 else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of ``timings.json``."""
         return {
             "frames": self.frames,
             "seconds": round(self.seconds, 4),
@@ -294,7 +292,6 @@ class ReplayLink:
         self._publisher = Publisher(self._offer, self._link.publish_event, lambda *_: None)
 
     def obey(self, playback: Playback) -> None:
-        """Let ``req/replay`` control this playback."""
         self._playback = playback
 
     def report_playback(self, status: dict[str, Any]) -> None:
@@ -340,7 +337,6 @@ class ReplayLink:
         return self._link.counters()
 
     def stop(self) -> None:
-        """Publish the end and disconnect."""
         self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
         if self._playback is not None:
             self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))

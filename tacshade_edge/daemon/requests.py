@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.profiles import ActiveProfile
 from tacshade_edge.daemon.references import REFERENCE_FRAMES, ReferenceCollector, References
@@ -30,8 +29,7 @@ Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
 class Requests(FrameObserver):
     """Handles requests; each gets exactly one reply.
 
-    `changed` is called after the reconstructor was replaced; `record` carries out and answers the verb ``record``,
-    `others` the verbs that only some daemons have.
+    `changed` is called after the reconstructor was replaced; `others` carry out and answer the other verbs.
     """
 
     def __init__(
@@ -41,7 +39,6 @@ class Requests(FrameObserver):
         reply: Reply,
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
-        record: Callable[[Request, Reconstructor], None],
         others: Mapping[str, Callable[[Request], None]],
     ) -> None:
         self._active = active
@@ -49,14 +46,11 @@ class Requests(FrameObserver):
         self._reply = reply
         self._status = status
         self._changed = changed
-        self._record = record
         self._others = others
         self._collector: ReferenceCollector | None = None
         self._reference: tuple[Request, float] | None = None  # and its deadline
-        self._taken: list[U8] | Reason | None = None  # set by the reconstruct thread, once
 
     def handle(self, request: Request) -> None:
-        """Carry out or refuse one request."""
         reconstructor = self._active.reconstructor
         if request.verb == "status":
             self._reply(request, self._status())
@@ -64,8 +58,6 @@ class Requests(FrameObserver):
             self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "this daemon is not playing a recording"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
-        elif request.verb == "record":
-            self._record(request, reconstructor)
         elif request.verb in self._others:
             self._others[request.verb](request)
         elif request.verb == "stitch":
@@ -77,26 +69,22 @@ class Requests(FrameObserver):
             self._take_reference(request)
 
     def need(self) -> Need:
-        """Depth of all frames while a reference is taken."""
         return Need.CONTACT if self._collector is None else Need.DEPTH
 
     def see(self, seen: FrameResult) -> None:
-        """Take a frame for the reference."""
         if (collector := self._collector) is not None and seen.reconstruction is not None:
             collector.see(seen.frame, seen.reconstruction)
 
     def poll(self) -> None:
-        """Finish a reference that was taken or that timed out."""
-        if self._reference is None:
+        if self._reference is None or self._collector is None:
             return
-        request, deadline_s = self._reference
-        if self._taken is None and time.monotonic() < deadline_s:
+        (request, deadline_s), taken = self._reference, self._collector.outcome
+        if taken is None and time.monotonic() < deadline_s:
             return
-        late = Reason(
-            ReasonCode.TIMEOUT, f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
-        )
-        taken = self._taken or late
-        self._collector = self._reference = self._taken = None
+        self._collector = self._reference = None
+        if taken is None:
+            text = f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
+            taken = Reason(ReasonCode.TIMEOUT, text)
         if isinstance(taken, Reason):
             self._refuse(request, taken)
         else:
@@ -120,10 +108,7 @@ class Requests(FrameObserver):
             self._refuse(request, Reason(ReasonCode.BUSY, "busy: already taking a reference"))
             return
         self._reference = request, time.monotonic() + REFERENCE_TIMEOUT_S
-        self._collector = ReferenceCollector(self._on_taken)
-
-    def _on_taken(self, outcome: list[U8] | Reason) -> None:
-        self._taken = outcome
+        self._collector = ReferenceCollector()
 
     def _set_reference(self, request: Request, images: list[U8]) -> None:
         try:

@@ -61,17 +61,14 @@ class Robot(FrameObserver):
         self._thread = threading.Thread(target=self._channel.run, name="serial", daemon=True)
 
     def start(self) -> None:
-        """Start to serve the line."""
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Stop serving the line."""
         self._stopped.set()
         self._channel.stop()
         self._thread.join(timeout_s)
 
     def poll(self) -> None:
-        """Publish ``status/serial`` when it has changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
         if isinstance(self.motion, ForwardingMotion):
             quiet_since_ns, counts = self._channel.quiet_since_ns, self._channel.as_dict()
@@ -93,7 +90,6 @@ class Robot(FrameObserver):
             self._publish_status(status)
 
     def health(self) -> dict[str, Any]:
-        """The counts of the line, the clock and the frames."""
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
         return {**self._channel.as_dict(), **self.motion.as_dict(), **frames, **self._touch.as_dict()}
 
@@ -103,13 +99,11 @@ class Robot(FrameObserver):
         return depth | Need.TOUCH if self._touch.is_on else depth
 
     def see(self, seen: FrameResult) -> None:
-        """Answer the robot's captures, and report the touch."""
         if seen.reconstruction is not None:
             self.commands.observe(seen.frame, seen.reconstruction)
             self._touch.observe(seen.reconstruction)
 
     def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Answer a request of the robot over its line."""
         return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:

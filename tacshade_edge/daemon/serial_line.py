@@ -7,10 +7,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, Protocol
 
 from tacshade_edge.core.stitching.poses import PoseBuffer
+from tacshade_edge.daemon.observer import FrameWaiters
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.requests import Request
@@ -58,7 +60,6 @@ class RobotMotion:
             self._forget_old()
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """Take a ``SYNC`` that arrived; `sync_answered` must follow."""
         with self._lock:
             self._sync.sync_received(t1_ns, t2_ns, t4_ns)
             self._forget_old()
@@ -69,7 +70,6 @@ class RobotMotion:
             self._sync.sync_answered(t3_ns)
 
     def add(self, arrived: PoseArrived) -> None:
-        """Add a pose that arrived."""
         sample = arrived.sample
         with self._lock:
             self._sync.stamp_received(sample.t_ns, arrived.arrived_ns)
@@ -86,12 +86,10 @@ class RobotMotion:
         return replace(sample.pose, t_ns=t_ns), -(-(robot.error_ns + sample.extrapolated_ns) // 1000)
 
     def state(self) -> SyncState:
-        """State of the clock synchronisation."""
         with self._lock:
             return self._sync.state()
 
     def as_dict(self) -> dict[str, Any]:
-        """The counts for ``health``."""
         with self._lock:
             state, counts, late = self._sync.state(), self._sync.counts, self._poses.late
             return {
@@ -131,7 +129,6 @@ class TouchEvents:
 
     @property
     def is_on(self) -> bool:
-        """Whether the robot requested touches."""
         return self._asked is not None
 
     def switch(self, asked: TouchAsked | None) -> TouchSwitched | Reason:
@@ -162,7 +159,6 @@ class TouchEvents:
         return seen
 
     def as_dict(self) -> dict[str, int]:
-        """For ``health``."""
         return {"touch_events": self._events, "touch_dropped": self._dropped}
 
     def _due(self, asked: TouchAsked | None, result: Reconstruction) -> TouchSeen | None:
@@ -180,10 +176,6 @@ class TouchEvents:
         on_time = result.t_ns - self._due_ns < period_ns
         self._due_ns = (self._due_ns if on_time else result.t_ns) + period_ns
         return TouchSeen(result.seq, result.t_ns, True, tuple((n, touch.values.get(n)) for n in asked.names))
-
-
-CAPTURE_TIMEOUT_NS = 5_000_000_000
-WAITING_MAX = 16
 
 
 class Sessions(Protocol):
@@ -221,9 +213,9 @@ class SerialCommands:
         self._missing = missing
         self._wake = wake
         self._answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = SimpleQueue()
-        self._lock = threading.Lock()
-        self._captures: list[Command] = []
-        self._requests: list[tuple[Request, Command]] = []
+        self._captures: FrameWaiters[Callable[[FrameCaptured | Reason], None]]
+        self._captures = FrameWaiters("captures are already waiting")
+        self._requests: dict[int, tuple[Request, Command]] = {}  # by the request's id
 
     def handle(self, command: Command, link: SerialLink) -> None:
         """Start a command; called in the serial thread."""
@@ -240,31 +232,20 @@ class SerialCommands:
         elif command.verb == "TOUCH":
             link.answer(command, self.touch.switch(parse_touch(command.args)))
         elif command.verb == "CAPTURE":
-            with self._lock:
-                busy = len(self._captures) >= WAITING_MAX
-                if not busy:
-                    self._captures.append(command)
-            if busy:
-                link.answer(command, Reason(ReasonCode.BUSY, f"{WAITING_MAX} captures are already waiting"))
+            self._captures.put(command.arrived_ns, partial(self._answer, command))
         elif command.verb == "REFERENCE":
             request = Request("reference")
-            with self._lock:
-                self._requests.append((request, command))
+            self._requests[id(request)] = request, command
             self._on_request(request)
         elif self.sessions is None:
             link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch"))
         else:
             action, *name = command.args
-            self.sessions.submit(action, name[0] if name else "", lambda outcome: self._answer(command, outcome))
+            self.sessions.submit(action, name[0] if name else "", partial(self._answer, command))
 
     def send_answers(self, link: SerialLink) -> None:
         """Give the link the answers since the last call; called in the serial thread."""
-        now_ns = time.monotonic_ns()
-        with self._lock:
-            late = [c for c in self._captures if now_ns - c.arrived_ns > CAPTURE_TIMEOUT_NS]
-            self._captures = [c for c in self._captures if c not in late]
-        for command in late:
-            link.answer(command, Reason(ReasonCode.TIMEOUT, f"no frame within {CAPTURE_TIMEOUT_NS / 1e9:.0f} s"))
+        self._captures.expire(time.monotonic_ns())
         while True:
             try:
                 command, outcome = self._answers.get_nowait()
@@ -274,24 +255,16 @@ class SerialCommands:
 
     @property
     def capture_pending(self) -> bool:
-        """Whether a CAPTURE waits for the next reconstruction."""
-        return bool(self._captures)
+        return len(self._captures) > 0
 
     def observe(self, frame: Frame, result: Reconstruction) -> None:
         """Answer the captures that arrived before this frame was taken."""
-        if not self._captures:
-            return
-        with self._lock:
-            ready = [c for c in self._captures if c.arrived_ns <= frame.t_ns]
-            self._captures = [c for c in self._captures if c not in ready]
-        for command in ready:
-            self._answer(command, _captured(frame, result))
+        for answer in self._captures.take(frame.t_ns):
+            answer(_captured(frame, result))
 
     def complete(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
         """Take the main thread's outcome of a request; True if the robot made the request."""
-        with self._lock:
-            command = next((c for r, c in self._requests if r is request), None)
-            self._requests = [(r, c) for r, c in self._requests if r is not request]
+        _, command = self._requests.pop(id(request), (None, None))
         if command is None:
             return False
         if not isinstance(outcome, ReferenceTaken | Reason):
@@ -342,8 +315,6 @@ NOT_READING_PAUSE_S = 1.0  # a robot that does not read gets nothing for this lo
 
 @dataclass(frozen=True, slots=True)
 class PortState:
-    """State of the port."""
-
     state: Literal["away", "open"]
     reason: Reason | None = None
     details: dict[str, str | int | float] = field(default_factory=dict)
@@ -374,11 +345,9 @@ class SerialChannel:
 
     @property
     def mode(self) -> Mode:
-        """``ASCII`` or ``BIN``."""
         return self._link.mode
 
     def stop(self) -> None:
-        """Make `run` return soon."""
         self._stop.set()
         self._port.wake()
 
@@ -403,7 +372,6 @@ class SerialChannel:
             retry_s = min(2 * retry_s, LONGEST_RETRY_S)
 
     def as_dict(self) -> dict[str, Any]:
-        """The counts for ``health``."""
         return {
             **self._link.counts.as_dict(),
             "reopened": max(0, self._opened - 1),

@@ -16,7 +16,7 @@ from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
-from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
+from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionEnded, SessionStatus
 from tacshade_edge.protocol.topics import StitchedMap
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.quoting import quoted
@@ -122,6 +122,7 @@ class Session:
         self._file = file
         self._stitcher = stitcher
         self.revision = stitcher.presses
+        self.name, self.folder = file.info.name, file.folder
 
     @classmethod
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
@@ -154,33 +155,16 @@ class Session:
         return cls(file, stitcher)
 
     @property
-    def name(self) -> str:
-        """Name of the session and of its folder."""
-        return self._file.info.name
-
-    @property
-    def folder(self) -> Path:
-        """Folder of its files."""
-        return self._file.folder
-
-    @property
     def gone(self) -> bool:
-        """Whether somebody deleted its files."""
         return self._file.gone
 
     @property
     def presses(self) -> int:
-        """Number of presses in the map."""
         return self._stitcher.presses
 
     @property
     def points(self) -> int:
-        """Number of points of the presses."""
         return self._stitcher.points
-
-    def begun(self) -> SessionBegun:
-        """The result of beginning it."""
-        return SessionBegun(self.name)
 
     def status(self, missed: int) -> SessionStatus:
         """The session's status; `missed` counts the contacts at rest that were not added."""
@@ -203,7 +187,6 @@ class Session:
         return PressAdded(self.presses, frame_seq, len(points.points_mm))
 
     def map_revision(self) -> MapRevision:
-        """The map of the presses so far."""
         crc32, raster = self._file.info.calibration_crc32, self._stitcher.map.raster
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
@@ -240,5 +223,4 @@ class Session:
         return SessionAborted(self.name, self.presses)
 
     def close(self) -> None:
-        """Close the file; the session stays open on the disk."""
         self._file.close()

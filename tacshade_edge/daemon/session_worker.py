@@ -18,14 +18,21 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints, RestDetector, press_points
-from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
+from tacshade_edge.daemon.observer import STITCHED_S, WAITING_MAX, FrameObserver, FrameResult, FrameWaiters
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
+from tacshade_edge.protocol.results import (
+    NoSession,
+    PressAdded,
+    SessionAborted,
+    SessionBegun,
+    SessionEnded,
+    SessionResult,
+)
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.storage.atomic_files import disk_errors
@@ -36,57 +43,8 @@ if TYPE_CHECKING:
     from tacshade_edge.daemon.robot import Robot  # imports pyserial
 
 
-ADD_TIMEOUT_NS = 5_000_000_000
-WAITING_MAX = 16
-
 SessionReply = Callable[[SessionResult | Reason], None]
 """``reply(outcome)``, called once: a command's result, or the reason that there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class _PendingAdd:
-    since_ns: int
-    reply: SessionReply
-
-
-class PendingAdds:
-    """Commands to add a press that wait for the first frame taken after them; bounded, for any thread."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._pending: list[_PendingAdd] = []
-
-    def __len__(self) -> int:
-        return len(self._pending)
-
-    def put(self, since_ns: int, reply: SessionReply) -> None:
-        """Wait for a frame taken at `since_ns` or later; refuse at once if too many wait."""
-        with self._lock:
-            busy = len(self._pending) >= WAITING_MAX
-            if not busy:
-                self._pending.append(_PendingAdd(since_ns, reply))
-        if busy:
-            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting for a frame"))
-
-    def take(self, t_ns: int) -> list[SessionReply]:
-        """Remove and return the replies that wait for a frame of `t_ns`."""
-        return self._remove(lambda pending: pending.since_ns <= t_ns)
-
-    def expire(self, now_ns: int) -> None:
-        """Refuse the commands that have waited too long."""
-        for reply in self._remove(lambda pending: now_ns - pending.since_ns > ADD_TIMEOUT_NS):
-            reply(Reason(ReasonCode.TIMEOUT, f"no frame within {ADD_TIMEOUT_NS / 1e9:.0f} s"))
-
-    def refuse_all(self, reason: Reason) -> None:
-        """Refuse all commands that wait."""
-        for reply in self._remove(lambda _: True):
-            reply(reason)
-
-    def _remove(self, due: Callable[[_PendingAdd], bool]) -> list[SessionReply]:
-        with self._lock:
-            removed = [pending for pending in self._pending if due(pending)]
-            self._pending = [pending for pending in self._pending if pending not in removed]
-        return [pending.reply for pending in removed]
 
 
 _log = logging.getLogger(__name__)
@@ -155,7 +113,7 @@ class SessionWorker:
         self._with_pose = with_pose
         self._automatic = automatic
         self._jobs: SimpleQueue[_Command | _Add | Literal["stop"]] = SimpleQueue()
-        self._pending_adds = PendingAdds()
+        self._adds: FrameWaiters[SessionReply] = FrameWaiters("presses are already waiting for a frame")
         self._lock = threading.Lock()
         self._rest = RestDetector()
         self._calibration: Calibration | None = None
@@ -169,7 +127,6 @@ class SessionWorker:
 
     @property
     def state(self) -> SessionState:
-        """The present state, for any thread."""
         with self._lock:
             return replace(self._state, missed=self._missed, missed_reason=self._missed_reason)
 
@@ -181,7 +138,7 @@ class SessionWorker:
     def as_dict(self) -> dict[str, int]:
         """Counts for ``health``: presses added, commands to add one refused, contacts at rest missed, jobs waiting."""
         with self._lock:
-            return {**self._counts, "waiting": len(self._pending_adds) + self._jobs.qsize()}
+            return {**self._counts, "waiting": len(self._adds) + self._jobs.qsize()}
 
     # Other threads call these; none of them waits.
 
@@ -190,7 +147,7 @@ class SessionWorker:
         if action == "ADD":
             reply = self._counting_refusals(reply)
         if action == "ADD" and self.open:
-            self._pending_adds.put(time.monotonic_ns(), reply)
+            self._adds.put(time.monotonic_ns(), reply)
         elif self._jobs.qsize() >= WAITING_MAX:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
         else:
@@ -202,7 +159,7 @@ class SessionWorker:
         if not self.open:
             return
         at_rest = self._rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm)
-        replies = self._pending_adds.take(frame.t_ns)
+        replies = self._adds.take(frame.t_ns)
         if not replies and at_rest and self._automatic:
             replies = [self._automatic_reply]
         if not replies:
@@ -224,7 +181,7 @@ class SessionWorker:
 
     def poll(self) -> None:
         """Refuse commands that have waited too long for a frame; called now and then."""
-        self._pending_adds.expire(time.monotonic_ns())
+        self._adds.expire(time.monotonic_ns())
 
     def stop(self) -> None:
         """Make `run` return after the waiting jobs; an open session stays open on the disk."""
@@ -342,7 +299,7 @@ class SessionWorker:
             self._missed, self._missed_reason = 0, None
         self._state = self._current_state()
         _log.info("started stitching session %s", session.name)
-        return session.begun()
+        return SessionBegun(session.name)
 
     def _add(self, add: _Add) -> PressAdded:
         session, seq = self._session, add.frame.seq
@@ -377,7 +334,7 @@ class SessionWorker:
         self._session = None
         self._deferred = False
         self._state = self._current_state()
-        self._pending_adds.refuse_all(Reason(ReasonCode.NO_SESSION, "the session has ended"))
+        self._adds.refuse_all(Reason(ReasonCode.NO_SESSION, "the session has ended"))
 
     def _current_state(self) -> SessionState:
         session, folder = self._session, self._map_folder
@@ -425,7 +382,6 @@ class SessionRequests(FrameObserver):
         self._thread = threading.Thread(target=self._worker.run, name="stitch", daemon=True)
 
     def start(self) -> None:
-        """Resume a session that was open, and serve commands."""
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
@@ -435,11 +391,9 @@ class SessionRequests(FrameObserver):
         self.poll()
 
     def need(self) -> Need:
-        """Depth, while a session is open."""
         return Need.DEPTH if self._worker.open else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """Check whether a frame is a press."""
         if seen.reconstruction is not None and seen.calibration is not None:
             self._worker.observe(seen.frame, seen.reconstruction, seen.calibration)
 
@@ -464,5 +418,4 @@ class SessionRequests(FrameObserver):
             self._publish("status/stitching", status)
 
     def health(self) -> dict[str, int]:
-        """The worker's counts."""
         return self._worker.as_dict()

@@ -65,11 +65,6 @@ class SharedLine:
     ends: tuple[socket.socket, ...] = ()
     hears: socket.socket | None = None
 
-    def close(self) -> None:
-        """Close this process's ends."""
-        for end in (*self.ends, *([self.hears] if self.hears else [])):
-            end.close()
-
 
 def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
     """Each sensor's part in a port that several name; the first of them has the port. Other sensors are left out."""
@@ -146,15 +141,12 @@ class FollowingChannel:
         self._stop = threading.Event()
 
     def stop(self) -> None:
-        """Make `run` return soon."""
         self._stop.set()
 
     def as_dict(self) -> dict[str, Any]:
-        """The owner's counts for ``health``."""
         return dict(self._counts)
 
     def run(self) -> None:
-        """Receive from the owner until `stop`."""
         self._hears.settimeout(_READ_S)
         heard_ns = time.monotonic_ns()
         while not self._stop.is_set():

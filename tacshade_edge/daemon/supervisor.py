@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.daemon.systemd import STOP_USEC, notify
+from tacshade_edge.daemon.systemd import STOP_USEC, notify, notify_reloading, notify_stopping
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import preload
 from tacshade_edge.quoting import escaped
@@ -90,13 +90,11 @@ class Supervisor:
         self._note = ""
         self._stopping_s: float | None = None
 
-    def run(self) -> Document | Hand | int:
-        """Run the processes until a signal ends all, or no sensor is left to restart.
+    def run(self, work: Callable[[Document | Hand], int]) -> int:
+        """Run the processes until a signal ends all, or no sensor is left to restart; return the exit code.
 
-        Returns
-        -------
-        In a sensor's process its document, in the hand's process the hand; in this process the exit code: 78 if no
-        sensor's settings can work, else 0.
+        In a sensor's process, and in the hand's, that is the code of `work`, which is called there; in this process it
+        is 78 if no sensor's settings can work, else 0.
         """
         reader, writer = socket.socketpair()
         reader.setblocking(False)
@@ -122,12 +120,14 @@ class Supervisor:
                 end.close()
 
         try:
-            return self._supervise(reader, let_go)
+            mine = self._supervise(reader, let_go)
         finally:
             if self._selector.get_map() is not None:
                 let_go()
+        return self._code() if mine is None else work(mine)
 
-    def _supervise(self, signals: socket.socket, let_go: Callable[[], None]) -> Document | Hand | int:
+    def _supervise(self, signals: socket.socket, let_go: Callable[[], None]) -> Document | Hand | None:
+        """Supervise until all is over (None); in a process that it starts, return what that process is to do."""
         for part in self._parts:
             part.again_s = 0.0
         next_tick_s = 0.0
@@ -143,7 +143,7 @@ class Supervisor:
                 self._report()
             if self._is_over(self._sensors):
                 if self._is_over(self._parts):
-                    return self._code()
+                    return None
                 self._stop()
             for key, _ in self._selector.select(0.1):
                 if isinstance(key.data, _Part):
@@ -197,18 +197,17 @@ class Supervisor:
             self._reload()
 
     def _stop(self) -> None:
-        """Stop all parts, once."""
         if self._stopping_s is not None:
             return
         self._stopping_s = time.monotonic()
-        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+        notify_stopping()
         for part in self._parts:
             part.again_s = part.heard_s = None
             _signal(part, signal.SIGTERM)
 
     def _reload(self) -> None:
         """Make each part read the file again; start those that ended because of their settings."""
-        notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        notify_reloading()
         try:
             documents = load_all(self._path)
             hand = load_hand(self._path)
@@ -229,7 +228,6 @@ class Supervisor:
         notify("READY=1")
 
     def _watch(self, now_s: float) -> None:
-        """End the processes that hang."""
         for part in self._parts:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)

@@ -23,61 +23,52 @@ STOP_USEC = 10_000_000
 _SEND_S = 1.0  # timeout for a manager that does not read
 
 
-class Progress:
-    """Whether work was done since the last call, so that the watchdog may be fed."""
+class Service:
+    """One daemon's conversation with the service manager."""
 
     def __init__(self, grab: Grab, reconstruct: Reconstruct) -> None:
         self._grab = grab
         self._reconstruct = reconstruct
         self._stages = self._attempts = 0
-
-    def made(self, degraded: bool) -> bool:
-        """Whether stages of frames have ended, or, if `degraded`, attempts to get frames were made and none hangs.
-
-        `degraded`: the daemon has published that no usable frames come.
-        """
-        # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
-        processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
-        hanging = self._reconstruct.taken > processed
-        made = stages > self._stages or (degraded and attempts > self._attempts and not hanging)
-        self._stages, self._attempts = stages, attempts
-        return made
-
-
-class Service:
-    """One daemon's conversation with the service manager."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
         self._note: Reason | None = None
 
-    def ready(self) -> None:
-        """Report that settings and calibration are loaded and the threads run."""
-        notify("READY=1")
-
     def tick(self, source: SourceState, fps: float) -> None:
-        """Report the status; feed the watchdog if there was progress. Call it at least twice per ``WatchdogSec``.
+        """Report the published state and the rate of delivered frames; feed the watchdog if there was progress.
 
-        `source` as published; `fps` counts the frames delivered per second.
+        Call it at least twice per ``WatchdogSec``.
         """
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""
         notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
-        if self._progress.made(degraded=source.state != "streaming"):
+        if self._progressed(degraded=source.state != "streaming"):
             notify("WATCHDOG=1")
-
-    def reloading(self) -> None:
-        """Report that a reload begins; `reloaded` must follow."""
-        notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def reloaded(self, note: Reason | None) -> None:
         """Report that a reload is over; `note` stays in the status until the next."""
         self._note = note
         notify("READY=1", f"STATUS={note or 'reloaded'}")
 
-    def stopping(self) -> None:
-        """Report that a stop begins; from now on the manager's time limit counts, not the watchdog's."""
-        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+    def _progressed(self, degraded: bool) -> bool:
+        """Whether, since the last call, stages of frames have ended; if `degraded`, also attempts to get frames.
+
+        Attempts do not count while a frame hangs. `degraded`: the daemon has published that no usable frames come.
+        """
+        # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
+        processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
+        hanging = self._reconstruct.taken > processed
+        progressed = stages > self._stages or (degraded and attempts > self._attempts and not hanging)
+        self._stages, self._attempts = stages, attempts
+        return progressed
+
+
+def notify_reloading() -> None:
+    """Report that a reload begins; ``READY=1`` must follow."""
+    notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+
+def notify_stopping() -> None:
+    """Report that a stop begins; from now on the manager's time limit counts, not the watchdog's."""
+    notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
 
 
 def notify(*lines: str) -> None:

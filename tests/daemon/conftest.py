@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from support.running_app import Live
 
+from tacshade_edge.daemon import app
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.types import U8, Calibration, Frame
 from tools.testbed.mqtt_rig import Broker, Subscriber
@@ -101,3 +103,12 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 def seen(broker: Broker) -> Iterator[Subscriber]:
     with Subscriber(broker.port) as subscriber:
         yield subscriber
+
+
+@pytest.fixture
+def live(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> Live:
+    monkeypatch.setattr(app, "HEALTH_PERIOD_S", 0.2)
+    monkeypatch.setattr(app, "STALL_S", 0.8)
+    return Live(tmp_path, broker, seen, calibration)

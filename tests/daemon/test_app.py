@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import logging
+import os
+import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,80 +17,73 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from support.running_app import (
-    BASE,
-    GONE,
-    Running,
-    assert_accounted,
-    document,
-    last,
-    paced,
-    states,
-)
+from support.running_app import BASE, GONE, NEEDS_BROKER, NO_REASON, STOP_S, Live, assert_accounted, paced
 
-from tacshade_edge.core.profiles import DEFAULT
+from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
+from tacshade_edge.daemon import profiles, references
+from tacshade_edge.daemon.app import reload
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.factories import calibrations
 from tacshade_edge.protocol import wire
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import load
+from tacshade_edge.storage import npz
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.npz import Content
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.tables.frame_table import read_table
 from tacshade_edge.types import Calibration
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.painted_sensor import touched_depth_mm
-from tools.testbed.patience import wait_until
+from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration, touched_depth_mm
+from tools.testbed.patience import stretched, wait_until
+from tools.testbed.robot import PtyRobot
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = NEEDS_BROKER
 
 
-def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
-    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
-) -> None:
+def switched(pictures: Any, touch: threading.Event) -> Iterator[Any]:
+    """Free until it is touched."""
+    while True:
+        yield from paced(pictures.touched if touch.is_set() else pictures.free, 1)
+
+
+def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, pictures: Any, scripted: Any) -> None:
+    def connected() -> None:
+        wait_until(lambda: live.payloads("info"), 10, "info")
+
     script = [
-        *paced(pictures.free, 20),
-        *paced(pictures.touched, 20),
-        DecodeError("torn"),
-        *paced(pictures.free, 10),
-        *paced(pictures.black, 5),
-        *paced(pictures.touched, 3),
-        None,
+        *(*paced(pictures.free, 20), *paced(pictures.touched, 20), DecodeError("torn"), *paced(pictures.free, 10)),
+        *(*paced(pictures.black, 5), *paced(pictures.touched, 3), None),
     ]
     wall_before = time.time_ns()
-    app = Running(document(tmp_path, broker.port), scripted(paced_start(seen), [*script]), calibration)
+    # An opening that waits until the daemon is connected, so that nothing is lost, then fails once.
+    app = live.run(scripted([connected, GONE], script))
     app.join()
     assert app.error is None
-    wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
-    wait_until(lambda: last(seen, "health").get("frames", {}).get("captured") == 59, 5, "the last health")
+    live.until_state("stopped")
+    wait_until(lambda: live.last("health").get("frames", {}).get("captured") == 59, 5, "the last health")
 
-    frames = last(seen, "health")["frames"]
-    assert_accounted(frames)
-    assert (frames["captured"], frames["failed"]) == (59, 1)
-    heights = [wire.decode(p) for p in seen.of(f"{BASE}/height")]
-    assert len(heights) == frames["published"]
+    health = live.last("health")
+    assert_accounted(health["frames"])
+    assert health["frames"]["failed"] == 1
+    heights = [wire.decode(p) for p in live.payloads("height")]
+    assert len(heights) == health["frames"]["published"]
     assert [h.seq for h in heights] == sorted({h.seq for h in heights})
     deepest = max(float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage))
     assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
-    released = [h for h in heights if not h.contact]
-    assert [h.invalid for h in released] == [False]
-    assert heights[0].calibration_crc32 == calibration.crc32
+    assert [h.invalid for h in heights if not h.contact] == [False]
+    assert heights[0].calibration_crc32 == live.calibration.crc32
     assert wall_before < heights[0].wall_ns < time.time_ns()
-    clouds = [wire.decode(p) for p in seen.of(f"{BASE}/cloud")]
+    clouds = [wire.decode(p) for p in live.payloads("cloud")]
     assert clouds
     assert all(c.contact for c in clouds)
-    contacts = [json.loads(p) for p in seen.of(f"{BASE}/contact")]
-    assert {c["contact"] for c in contacts} == {0, 1}
-    info = last(seen, "info")
-    assert (info["profile"], info["geometry"]["calibration_crc32"]) == (DEFAULT, calibration.crc32)
-    health = last(seen, "health")
+    assert {json.loads(p)["contact"] for p in live.payloads("contact")} == {0, 1}
+    info = live.last("info")
+    assert (info["profile"], info["geometry"]["calibration_crc32"]) == (DEFAULT, live.calibration.crc32)
     assert health["latency_ms"]["p50"] > 0
     assert {"wait", "check", "grey", "gate", "deliver"} <= set(health["stages_ms"])
-    preview = cv2.imdecode(np.frombuffer(seen.of(f"{BASE}/preview")[0], np.uint8), cv2.IMREAD_UNCHANGED)
+    preview = cv2.imdecode(np.frombuffer(live.payloads("preview")[0], np.uint8), cv2.IMREAD_UNCHANGED)
     assert preview.shape[:2] == (240, 320)
-
-
-def paced_start(seen: Subscriber) -> list[Any]:
-    """An opening that waits until the daemon is connected, so that nothing is lost, then fails once."""
-
-    def connected() -> None:
-        wait_until(lambda: seen.of(f"{BASE}/info"), 10, "info")
-
-    return [connected, GONE]
 
 
 def test_frames_that_the_access_rules_deny_are_none_that_were_published(
@@ -98,65 +96,482 @@ def test_frames_that_the_access_rules_deny_are_none_that_were_published(
     rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
     password.write_text("right\n")
     with Broker(tmp_path, users={"left": "right"}, more=(f"acl_file {rules}",)) as broker:
-        settings = document(tmp_path, broker.port)
+        live = Live(tmp_path, broker, Subscriber(broker.port), calibration)
+        settings = live.document()
         denied = msgspec.structs.replace(settings.settings.mqtt, username="left", password_file=str(password))
         settings = replace(settings, settings=msgspec.structs.replace(settings.settings, mqtt=denied))
-        app = Running(settings, scripted(paced(pictures.touched)), calibration)
-        wait_until(lambda: app.app.ledger.counts().failed > 5, 20, "frames that were refused")
-        app.end()
+        with live.run(scripted(paced(pictures.touched)), settings) as app:
+            wait_until(lambda: app.counts().failed > 5, 20, "frames that were refused")
     assert app.app.link.counters()["refused"] > 5
-    frames = app.app.ledger.counts().as_dict()
-    assert_accounted(frames)
-    assert frames["published"] == 0
+    assert_accounted(app.counts().as_dict())
+    assert app.counts().published == 0
 
 
 def test_a_broker_that_takes_small_messages_only_is_a_degraded_state(
     tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
     with Broker(tmp_path, more=("message_size_limit 4000",)) as broker, Subscriber(broker.port, f"{BASE}/#") as heard:
-        app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
-        try:
-            wait_until(lambda: last(heard, "status/broker").get("state") == "limited", 20, "the reason")
-            assert last(heard, "status/broker")["reason_code"] == "message_size_limit"
-            wait_until(lambda: states(heard)[-1:] == ["degraded"], 10, "degraded")
-            wait_until(lambda: app.app.ledger.counts().failed > 0, 20, "frames that were refused")
-        finally:
-            app.end()
-        assert heard.of(f"{BASE}/contact")
-        assert not heard.of(f"{BASE}/height")
+        live = Live(tmp_path, broker, heard, calibration)
+        with live.run(scripted(paced(pictures.touched))) as app:
+            live.until("status/broker", state="limited", reason_code="message_size_limit", seconds=20)
+            live.until_state("degraded")
+            wait_until(lambda: app.counts().failed > 0, 20, "frames that were refused")
+        assert live.payloads("contact")
+        assert not live.payloads("height")
     counters = app.app.link.counters()
-    assert counters["losses"] == 0
-    assert counters["refused"] > 0
-    assert_accounted(app.app.ledger.counts().as_dict())
+    assert (counters["losses"], counters["refused"] > 0) == (0, True)
+    assert_accounted(app.counts().as_dict())
 
 
 def test_what_nobody_subscribes_to_is_not_computed_until_someone_does(
     tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
-    app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
-    counts = app.app.ledger.counts
-    try:
-        wait_until(lambda: counts().unasked > 50, 20, "frames that nobody asks for")
-        alone = counts()
+    live = Live(tmp_path, broker, Subscriber(broker.port), calibration)
+    with live.run(scripted(paced(pictures.touched))) as app:
+        wait_until(lambda: app.counts().unasked > 50, 20, "frames that nobody asks for")
+        alone = app.counts()
         assert alone.published < alone.unasked / 3
         with Subscriber(broker.port, f"{BASE}/#") as seen:
             seqs = [wire.decode(p).seq for p in seen.wait_for(f"{BASE}/height", 20, 10)]
             assert seqs == sorted(set(seqs))
-            seen.wait_for(f"{BASE}/cloud", 20)
-            seen.wait_for(f"{BASE}/contact", 20)
-            seen.wait_for(f"{BASE}/preview", 3)
-            assert last(seen, "health")["frames"]["unasked"] >= alone.unasked
-        before = counts().unasked
-        wait_until(lambda: counts().unasked > before + 50, 20, "unasked again")
-    finally:
-        app.end()
-    assert_accounted(counts().as_dict())
+            for topic, count in (("cloud", 20), ("contact", 20), ("preview", 3), ("health", 1)):
+                seen.wait_for(f"{BASE}/{topic}", count)
+        before = app.counts().unasked
+        wait_until(lambda: app.counts().unasked > before + 50, 20, "unasked again")
+    assert_accounted(app.counts().as_dict())
 
 
-def test_a_source_that_can_never_work_ends_the_daemon(
-    tmp_path: Path, broker: Broker, calibration: Calibration, scripted: Any
-) -> None:
-    app = Running(document(tmp_path, broker.port), scripted(ConfigError("x: found nothing")), calibration)
+def test_a_source_that_can_never_work_ends_the_daemon(live: Live, scripted: Any) -> None:
+    app = live.run(scripted(ConfigError("x: found nothing")))
     app.join()
     assert str(app.error) == "x: found nothing"
     app.app.link.stop(1)
+
+
+# While its camera or its broker is gone, hangs, or shows nothing of use.
+
+
+def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(live: Live, pictures: Any, scripted: Any) -> None:
+    app = live.run(scripted([*paced(pictures.free, 10), GONE], GONE, GONE, paced(pictures.touched)))
+    try:
+        live.seen.wait_for(f"{BASE}/height", 5, 10)
+        live.until_state("online")
+    finally:
+        took_s = app.end()
+    assert took_s < stretched(STOP_S)
+    live.until_state("stopped")
+    assert live.states()[-3:-1] == ["degraded", "online"]
+    cameras = [json.loads(p) for p in live.payloads("status/camera")]
+    assert {"state": "away", "reason": str(GONE), "reason_code": "device"} in cameras
+    assert {"state": "streaming", **NO_REASON, "script": "test"} in cameras
+    assert_accounted(live.last("health")["frames"])
+
+
+def test_a_camera_that_hangs_degrades_and_a_stop_is_quick(live: Live, pictures: Any, scripted: Any) -> None:
+    first, second = threading.Event(), threading.Event()
+    script = [pictures.free, first.wait, *paced(pictures.free, 20), second.wait, None]
+    app = live.run(scripted(script))
+    try:
+        live.until("status/camera", state="streaming")
+        live.until("status/camera", reason_code="stalled")
+        live.until_state("degraded")
+        first.set()
+        live.until_state("online")
+        assert app.end() < stretched(STOP_S)
+        live.until_state("stopped")
+        assert_accounted(live.last("health")["frames"])
+    finally:
+        first.set()
+        second.set()
+
+
+def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(live: Live, pictures: Any, scripted: Any) -> None:
+    document = live.document()
+    away = msgspec.structs.replace(document.settings.mqtt, port=free_port())
+    absent = live.run(
+        scripted(paced(pictures.touched)),
+        replace(document, settings=msgspec.structs.replace(document.settings, mqtt=away)),
+    )
+    wait_until(lambda: absent.counts().captured > 20, 10, "frames without a broker")
+    assert absent.end() < stretched(STOP_S)
+    assert_accounted(absent.counts().as_dict())
+    assert absent.counts().published == 0
+
+    stalled = live.run(scripted(paced(pictures.touched)))
+    live.seen.wait_for(f"{BASE}/height", 5)
+    live.broker.stall()
+    try:
+        assert stalled.end() < stretched(STOP_S)
+    finally:
+        live.broker.resume()
+    assert_accounted(stalled.counts().as_dict())
+
+
+def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
+    tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    broker.stop()
+    app = Live(tmp_path, broker, Subscriber(broker.port), calibration).run(scripted(paced(pictures.touched)))
+    try:
+        wait_until(lambda: app.counts().failed > 5, 10, "frames that could not be sent")
+        for _ in range(2):
+            broker.start()
+            with Subscriber(broker.port) as seen:
+                first, *_, latest = (wire.decode(p) for p in seen.wait_for(f"{BASE}/height", 5, 10))
+                assert latest.seq > first.seq
+                seen.wait_for_last(f"{BASE}/state", b"online")
+                info = json.loads(seen.wait_for(f"{BASE}/info")[-1])
+                assert info["geometry"]["calibration_crc32"] == calibration.crc32
+            broker.stop()
+        assert app.counts().pending <= 6  # one in the mailbox, one in work, and the link's slot and two unsent
+    finally:
+        assert app.end() < stretched(STOP_S)
+    assert_accounted(app.counts().as_dict())
+
+
+def test_nothing_but_invalid_frames_is_a_degraded_state(live: Live, pictures: Any, scripted: Any) -> None:
+    dark, free = threading.Event(), threading.Event()
+
+    def script() -> Iterator[Any]:
+        for picture, until in ((pictures.free, dark), (pictures.black, free)):
+            while not until.is_set():
+                yield from paced(picture, 5)
+        yield from paced(pictures.free)
+
+    with live.run(scripted(script())):
+        live.until_state("online")
+        dark.set()
+        live.until_state("degraded")
+        camera = live.last("status/camera")
+        assert (camera["state"], camera["reason_code"]) == ("unusable", "black")
+        free.set()
+        live.until_state("online")
+        assert live.last("status/camera")["state"] == "streaming"
+
+
+# Requests, and the reference that they take or that follows by itself.
+
+
+def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
+    touch = threading.Event()
+    with live.run(scripted(switched(pictures, touch))):
+        wait_until(lambda: "online" in live.states() and live.payloads("health"), 10, "online")
+        status = live.ask("status")
+        assert (status["ok"], status["result"]["source"]) == (True, "streaming")
+        assert status["result"]["health"]["frames"]["captured"] >= 0
+
+        assert live.ask("profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
+        live.until("info", profile="paper")
+        assert live.ask("profile", profile="slow")["reason_code"] == "unknown_profile"
+        live.ask("profile", profile="fast")
+        assert live.ask("stitch", action="begin")["reason_code"] == "unavailable"
+
+        taken = live.ask("reference")
+        assert taken["ok"] is True, taken
+        assert taken["result"]["frames"] == 10
+        crc = taken["result"]["calibration_crc32"]
+        wait_until(lambda: live.last("info")["geometry"]["calibration_crc32"] == crc, 5, "info tells the reference")
+        touch.set()
+        heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
+        assert wire.decode(heights[-1]).calibration_crc32 == crc
+        assert live.ask("reference")["reason_code"] == "frame_in_contact"
+
+
+def test_a_requested_reference_outlives_a_restart_and_a_reload(live: Live, pictures: Any, scripted: Any) -> None:
+    calibration_file.save(live.folder / "cal.npz", live.calibration)
+    settings = live.document("calibration: cal.npz\n")
+    darker = np.asarray(pictures.free * 0.8, np.uint8)
+
+    def origin() -> tuple[str, int]:
+        info = live.last("info")
+        return info["reference"]["origin"], info["geometry"]["calibration_crc32"]
+
+    with live.run(scripted(paced(darker)), settings) as app:
+        live.until("status/camera", state="streaming")
+        assert origin() == ("calibration", live.calibration.crc32)
+        taken = live.ask("reference")["result"]
+        assert taken["stored"] is True
+        crc = taken["calibration_crc32"]
+        wait_until(lambda: origin() == ("request", crc), 5, "info tells the reference")
+        before = len(live.payloads("info"))
+        app.app.reload()
+        live.seen.wait_for(f"{BASE}/info", before + 1, 5)
+        assert origin() == ("request", crc)
+    before = len(live.payloads("info"))
+    with live.run(scripted(paced(darker)), settings) as app:
+        live.seen.wait_for(f"{BASE}/info", before + 1, 10)
+        assert origin() == ("request", crc)
+        other = replace(live.calibration, reference_grey=np.asarray(live.calibration.reference_grey // 2, np.uint8))
+        newer = calibration_file.save(live.folder / "cal.npz", other)
+        app.app.reload()
+        wait_until(lambda: origin() == ("calibration", newer.crc32), 5, "the new calibration's own")
+        assert live.last("info")["reference"]["reason_code"] == "calibration_changed"
+
+
+def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
+    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(references, "REST_S", 0.2)
+    monkeypatch.setattr(references, "PERIOD_S", 0.2)
+    age = threading.Event()
+
+    def ageing() -> Iterator[Any]:
+        while True:
+            yield from paced(np.asarray(pictures.free * (0.9 if age.is_set() else 1.0), np.uint8), 2)
+
+    def following() -> dict[str, Any]:
+        reference: dict[str, Any] = live.last("health").get("reference", {})
+        return reference
+
+    with live.run(scripted(ageing())):
+        wait_until(lambda: following().get("looks", 0) > 1, 10, "looks")
+        assert (following()["state"], following()["renewals"]) == ("following", 0)
+        assert live.ask("record", action="start", seconds=600, name="one")["ok"]
+        age.set()
+        wait_until(lambda: following()["state"] == "held", 10, "held")
+        assert live.last("info")["geometry"]["calibration_crc32"] == live.calibration.crc32
+        live.ask("record", action="stop")
+        wait_until(lambda: following()["renewals"] == 1, 10, "a renewal")
+        assert following()["light"] == pytest.approx(0.9, abs=0.03)
+        info = live.last("info")
+        assert info["geometry"]["calibration_crc32"] != live.calibration.crc32
+        assert info["reference"]["calibration_crc32"] == live.calibration.crc32
+
+
+class Late:
+    """A source whose frames are so many ms old when they come, as those of a machine that has other work."""
+
+    def __init__(self, source: Any) -> None:
+        self._source = source
+        self.ms = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def read(self) -> Any:
+        frame = self._source.read()
+        return frame and replace(frame, t_ns=frame.t_ns - self.ms * 1_000_000)
+
+
+def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
+    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    for name, value in (("PATIENCE_S", 0.2), ("WINDOW_FRAMES", 15), ("LATE_FRAMES", 2)):
+        monkeypatch.setattr(profiles, name, value)
+    budget_ms = 1000  # of a test's machine, which has other work too
+    source = Late(scripted(paced(pictures.touched, period_s=0.005)))
+    ladder = list(LADDER)
+
+    def used() -> list[str]:
+        return [json.loads(payload)["profile"] for payload in live.payloads("info")]
+
+    def budget() -> Any:
+        return live.last("health").get("budget") or {}
+
+    with live.run(source, f"profile: auto\nlatency_budget_ms: {budget_ms}\n"):
+        wait_until(lambda: budget().get("kept"), 20, "the budget is kept")
+        info = live.last("info")
+        assert (info["choice"], info["profile"], info["profiles"]) == ("auto", ladder[0], [*PROFILES, "auto"])
+        assert budget()["p90_ms"] <= budget_ms == budget()["latency_budget_ms"]
+
+        source.ms = 5 * budget_ms
+        wait_until(lambda: used()[-1] == ladder[-1], 20, "stepped down")
+        wait_until(lambda: budget().get("kept") is False, 20, "health says that it is not kept")
+        assert (budget()["profile"], budget()["steps_down"], budget()["steps_up"]) == (ladder[-1], len(ladder) - 1, 0)
+        assert budget()["p90_ms"] > budget_ms
+
+        source.ms = 0
+        wait_until(lambda: used()[-1] == ladder[0], 30, "stepped up")
+        wait_until(lambda: budget().get("kept"), 20, "kept again")
+        assert budget()["steps_up"] == len(ladder) - 1
+        assert [profile for profile, _ in groupby(used())] == ladder + ladder[-2::-1]
+        assert all(json.loads(payload)["choice"] == "auto" for payload in live.payloads("info"))
+
+        assert live.ask("profile", profile="fast")["result"] == {"profile": "fast"}
+        live.until("info", choice="fast")
+        live.until("health", budget=None)
+        assert live.ask("profile", profile="auto")["result"] == {"profile": ladder[0]}
+        live.until("info", choice="auto")
+    live.until_state("stopped")
+    assert_accounted(live.last("health")["frames"])
+    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: stepped from ")]
+    assert len(steps) == 2 * (len(ladder) - 1)
+
+
+# Recording.
+
+
+def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_reference(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
+    lose = threading.Event()
+
+    def first() -> Iterator[Any]:
+        while not lose.is_set():
+            yield from paced(pictures.free, 2)
+        yield GONE
+
+    def recorded() -> Any:
+        return live.last("status/recorder")
+
+    folder = live.folder / "recs" / "one"
+    with live.run(scripted(first(), GONE, paced(pictures.free))):
+        live.until("status/camera", state="streaming")
+        wait_until(lambda: recorded() == {"state": "idle", **NO_REASON}, 5, "idle")
+        assert live.ask("record", action="stop")["reason_code"] == "no_recording"
+        started = live.ask("record", action="start", seconds=600, name="one")
+        assert started == {"ok": True, "result": {"folder": str(folder)}}
+        again = live.ask("record", action="start", seconds=600, name="two")
+        assert again == {"ok": False, "error": f"busy: already recording to {folder}", "reason_code": "busy"}
+        wait_until(lambda: recorded()["frames"] > 5, 10, "frames")
+        assert recorded()["state"] == "recording"
+        assert live.ask("record", action="mark", text="now")["result"]["folder"] == str(folder)
+        lose.set()
+        wait_until(lambda: any(str(GONE).encode() in each for each in live.payloads("status/camera")), 10, "lost")
+        live.until("status/camera", state="streaming")
+        frames = recorded()["frames"]
+        live.ask("profile", profile="paper")
+        live.ask("profile", profile="fast")
+        wait_until(lambda: recorded()["frames"] > frames + 5, 10, "more frames")
+        crc = live.ask("reference")["result"]["calibration_crc32"]
+        status = live.until("status/recorder", state="stopped")
+        assert status["reason"] == status["ending"] == "the reference or calibration changed"
+        assert status["reason_code"] == status["ending_code"] == "calibration_changed"
+        live.until("health", recorder={"written": status["frames"], "dropped": 0, "waiting": 0})
+
+        # The next has the new reference beside it, and a stop that is answered when all is written.
+        live.ask("record", action="start", seconds=600, name="two")
+        wait_until(lambda: recorded()["frames"] > 5, 10, "frames")
+        stopped = live.ask("record", action="stop")["result"]
+        assert (stopped["ending"], stopped["ending_code"]) == ("stopped", "stopped")
+        assert len(read_table(live.folder / "recs" / "two" / "frames.csv")) == stopped["frames"]
+        assert calibration_file.load(live.folder / "recs" / "two" / "calibration.npz").crc32 == crc
+        live.until("status/recorder", state="idle")
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert events.pop(1)["data"] == {"text": "now"}
+    assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
+    assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
+    assert (events[1]["data"]["reason"], events[1]["data"]["reason_code"]) == (str(GONE), "device")
+    assert [event["data"]["profile"] for event in events[3:]] == ["paper", "fast", "fast"]
+    crcs = [event["data"]["calibration_crc32"] for event in events[3:]]
+    assert crcs == [live.calibration.crc32, live.calibration.crc32, crc]
+    assert calibration_file.load(folder / "calibration.npz").crc32 == live.calibration.crc32
+    rows = read_table(folder / "frames.csv")
+    assert rows[0].t_ns < events[1]["t_ns"] < rows[-1].t_ns
+
+
+@pytest.mark.parametrize("format_", ["folder", "mcap"])
+def test_a_recording_begins_before_it_is_asked_for(live: Live, pictures: Any, scripted: Any, format_: str) -> None:
+    if format_ == "mcap":
+        pytest.importorskip("mcap")
+        pytest.importorskip("foxglove_schemas_protobuf")
+    path = live.document().path
+    path.write_text(path.read_text().replace("recs}", "recs, pre_roll_s: 30}"))
+    with live.run(scripted(paced(pictures.free)), load(path)):
+        wait_until(lambda: live.last("health").get("recorder", {}).get("pre_roll", 0) > 20, 10, "frames are kept")
+        assert live.ask("record", action="start", seconds=600, name="one", format=format_)["ok"]
+        assert live.ask("record", action="mark")["ok"]
+        stopped = live.ask("record", action="stop")["result"]
+        counts = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "pre_roll_dropped": 0}
+        wait_until(lambda: counts.items() <= live.last("health")["recorder"].items(), 5, f"health tells {counts}")
+    folder = live.folder / "recs" / "one"
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    start_ns = next(event["t_ns"] for event in events if event["kind"] == "start")
+    recording, times_ns = Recording(folder), list[int]()
+    while (read := recording.read()) is not None:
+        times_ns.append(read.frame.t_ns)
+    assert len(times_ns) == stopped["frames"]
+    assert sum(t_ns < start_ns for t_ns in times_ns) > 20
+
+
+# Before there is a calibration: the camera's picture, and what to do; then the calibration comes.
+
+
+def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, scripted: Any) -> None:
+    link, code, touched = Path(f"/dev/shm/tacshade-raw-{os.getpid()}"), "not_calibrated", threading.Event()
+    settings = live.document(f"calibration: c.npz\nserial: {{device: {link}}}\nstitching: {{folder: sessions}}\n")
+    settings.path.write_text(settings.path.read_text().replace("mqtt: {", "mqtt: {home_assistant: true, "))
+    settings = load(settings.path)
+    missing, calibration = calibrations.find_calibration(settings), live.folder / "c.npz"
+    assert isinstance(missing, Reason)
+    with (
+        PtyRobot(link, rate_hz=20, binary=True) as robot,
+        live.run(scripted(switched(pictures, touched)), settings, missing),
+    ):
+        picture = cv2.imdecode(np.frombuffer(live.seen.wait_for(f"{BASE}/preview", 1, 10)[0], np.uint8), 0)
+        assert picture.shape == (240, 320)
+        camera = live.until("status/camera", state="unusable")
+        assert (camera["reason_code"], camera["script"]) == (code, "test")
+        for text in (f"found no file {calibration}", f"capture DIR --config {settings.path}", f"--out {calibration}"):
+            assert text in camera["reason"]
+        live.seen.wait_for_last(f"{BASE}/state", b"degraded")
+        button = live.seen.wait_for("homeassistant/button/hand-1/rezero/config")[0]
+        assert json.loads(button)["name"] == "Re-zero"
+        info = live.last("info")
+        assert (info["geometry"], info["reference"], info["reason_code"]) == (None, None, code)
+        assert info["reason"] == camera["reason"]
+        assert live.last("contact")["reason_code"] == code
+        wait_until(lambda: live.last("health").get("frames", {}).get("invalid", 0) > 0, 10, "frames are counted")
+        assert live.last("health")["invalid_reason_code"] == code
+
+        requests: dict[str, dict[str, Any]] = {"reference": {}, "profile": {"profile": "fast"}}
+        requests |= {"record": {"action": "start", "seconds": 1}, "stitch": {"action": "begin"}}
+        for verb, body in requests.items():
+            assert live.ask(verb, **body)["reason_code"] == code
+        status = live.ask("status")
+        assert (status["ok"], status["result"]["reason_code"]) == (True, code)
+        for line in ("CAPTURE", "REFERENCE", "STITCH BEGIN pad", "STITCH STATUS"):
+            before = set(robot.replies)
+            robot.ask(line)
+
+            def refused(before: set[int] = before) -> bool:
+                new = [reply for number, reply in robot.replies.items() if number not in before]
+                return any(" UNCALIBRATED not calibrated: found no file" in reply for reply in new)
+
+            wait_until(refused, 10, line)
+
+        calibration.write_bytes(b"nothing of the kind")
+        wait_until(
+            lambda: "not a calibration" in live.last("status/camera")["reason"] + live.last("info")["reason"], 10
+        )
+        assert live.last("status/camera")["reason_code"] == code
+        calibration_file.save(calibration, live.calibration)
+        live.until_state("online")
+        assert live.last("status/camera")["state"] == "streaming"
+        info = live.last("info")
+        assert (info["geometry"]["calibration_crc32"], info["reason"]) == (calibration_file.load(calibration).crc32, "")
+        assert not live.payloads("height")
+        touched.set()
+        assert wire.decode(live.seen.wait_for(f"{BASE}/height", 1, 10)[0]).contact
+        assert live.ask("profile", profile="fast")["ok"]
+    live.until_state("stopped")
+    link.unlink(missing_ok=True)
+
+
+def test_a_reload_takes_settings_over_while_the_calibration_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text("calibration: c.npz\nsource: {kind: simulated}\n")
+    running = load(path)
+    path.write_text("calibration: d.npz\nprofile: fast\nsource: {kind: simulated}\n")
+    document, calibration, _ = reload(running, calibrated=False)
+    assert isinstance(calibration, Reason)
+    assert (calibration.code, document.settings.profile) == (ReasonCode.NOT_CALIBRATED, "fast")
+    with pytest.raises(ConfigError, match="cannot read the calibration: No such file"):
+        reload(running, calibrated=True)
+
+
+def test_a_calibration_of_wrong_content_changes_nothing(tmp_path: Path) -> None:
+    config, path = tmp_path / "settings.yaml", tmp_path / "calibration.npz"
+    config.write_text("sensor_id: left\ncalibration: calibration.npz\nsource: {kind: files, path: .}\n")
+    assert cv2.imwrite(str(tmp_path / "0.png"), FREE)
+    stored = calibration_file.save(path, painted_calibration())
+    running = load(config)
+    _, found, _ = reload(running, calibrated=True)
+    assert isinstance(found, Calibration)
+    assert found.crc32 == stored.crc32
+    content = npz.read(str(path), "calibration", "")
+    for name, value in (("polarity", "x"), ("flange_T_sensor", []), ("factors", {"fast": "1"})):
+        path.write_bytes(Content({**content.meta, name: value}, content.arrays).packed())
+        with pytest.raises(ConfigError, match=rf"calibration\.npz: .*{name}.*; calibrate again"):
+            reload(running, calibrated=True)

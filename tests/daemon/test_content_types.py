@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-from support.running_app import BASE, Running, ask, last
+from support.running_app import BASE, NEEDS_BROKER, Live
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import sources
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tools.faults.rig import write_posed_images
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import painted_calibration
 from tools.testbed.patience import wait_until
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = NEEDS_BROKER
 
 STREAMS = {"height", "cloud", "shear", "sigma", "touch", "contact", "preview"}
 RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}
@@ -60,12 +59,13 @@ def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
         def heard() -> set[str]:
             return {message.topic.removeprefix(f"{BASE}/") for message in list(seen.messages)}
 
-        running = Running(settings, sources.make_source(settings.settings.source), painted_calibration())
+        live = Live(tmp_path, broker, seen, painted_calibration())
+        running = live.run(sources.make_source(settings.settings.source), settings)
         try:
             wait_until(lambda: heard() >= STREAMS | RETAINED, 30, "streams and retained values")
-            assert ask(seen, "stitch", action="begin")["ok"]
-            wait_until(lambda: last(seen, "status/stitching").get("presses", 0) > 0, 30, "a press")
-            assert ask(seen, "stitch", action="end")["ok"]
+            assert live.ask("stitch", action="begin")["ok"]
+            wait_until(lambda: live.last("status/stitching").get("presses", 0) > 0, 30, "a press")
+            assert live.ask("stitch", action="end")["ok"]
             wait_until(lambda: heard() >= OF_A_SESSION, 30, "a map")
         finally:
             running.end()

@@ -17,14 +17,16 @@ from tacshade_edge.factories import links
 from tacshade_edge.settings import load_all
 from tacshade_edge.version import installed_version
 
-document = Supervisor(load_all(Path(sys.argv[1]))).run()
-if not isinstance(document, int):
+
+def work(document):
     before = set(sys.modules)
     links.make_link(document, lambda request: None, lambda stream, seq, outcome: None)
     installed_version()
     line = f"{document.settings.sensor_id} {sorted(set(sys.modules) - before)}\n"
     os.write(1, line.encode())  # whole, beside the other process's
     os._exit(0)
+
+Supervisor(load_all(Path(sys.argv[1]))).run(work)
 """
 
 

@@ -33,8 +33,7 @@ class Asked:
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,
-            lambda request, _: self.records.append(request),
-            {"stitch": self.records.append},
+            {"record": self.records.append, "stitch": self.records.append},
         )
 
     def _changed(self) -> None:

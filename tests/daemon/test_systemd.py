@@ -17,7 +17,7 @@ from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.pipeline import Grab, Mailbox, Reconstruct
-from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
+from tacshade_edge.daemon.systemd import STOP_USEC, Service, notify
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
@@ -234,26 +234,26 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
     steps = Steps()
-    worker = Reconstruct(steps, mailbox, Timings(), [steps])  # type: ignore[arg-type]
+    worker = Reconstruct(lambda: steps, mailbox, Timings(), [steps])  # type: ignore[arg-type]
     source = scripted([pictures.free, GONE], GONE, [DecodeError("torn"), GONE], *[GONE] * 99)
     grab = Grab(source, mailbox, steps.ledger, lambda _state: None)
-    progress = Progress(grab, worker)
-    assert not progress.made(degraded=True)
+    service = Service(grab, worker)
+    assert not service._progressed(degraded=True)
     threads = [threading.Thread(target=worker.run), threading.Thread(target=grab.run)]
     for thread in threads:
         thread.start()
     assert steps.held.wait(patience(10))
     wait_until(lambda: grab.attempts >= 4)  # three openings and the torn frame
-    assert not progress.made(degraded=True)
+    assert not service._progressed(degraded=True)
     steps.go.set()
     wait_until(lambda: worker.processed == 1)
-    assert progress.made(degraded=False)
+    assert service._progressed(degraded=False)
     before = grab.attempts
     wait_until(lambda: grab.attempts > before)
-    assert not progress.made(degraded=False)
+    assert not service._progressed(degraded=False)
     before = grab.attempts
     wait_until(lambda: grab.attempts > before)
-    assert progress.made(degraded=True)
+    assert service._progressed(degraded=True)
     grab.stop()
     mailbox.close()
     for thread in threads:
@@ -266,14 +266,14 @@ def test_without_a_manager_nothing_is_said(address: str | None, monkeypatch: pyt
     if address is not None:
         monkeypatch.setenv("NOTIFY_SOCKET", address)
     monkeypatch.setattr(socket, "socket", None)
-    Service(None).ready()  # type: ignore[arg-type]
+    notify("READY=1")
 
 
 def test_a_manager_with_an_abstract_address_hears(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind("")  # the kernel finds one
         monkeypatch.setenv("NOTIFY_SOCKET", "@" + manager.getsockname()[1:].decode())
-        Service(None).ready()  # type: ignore[arg-type]
+        notify("READY=1")
         manager.settimeout(patience(5))
         assert manager.recv(100) == b"READY=1"
 
@@ -282,5 +282,5 @@ def test_a_manager_that_is_gone_is_told_and_no_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
-    Service(None).ready()  # type: ignore[arg-type]
+    notify("READY=1")
     assert [r.getMessage() for r in caplog.records] == ["cannot notify the service manager: No such file or directory"]

@@ -71,14 +71,6 @@ def install() -> dict[str, Any]:
     return {"before": before, "first": first, "enabled": enabled, "verify": verify, "access": access}
 
 
-def installs_again() -> dict[str, Any]:
-    """Over a running service, with an edited config.yaml."""
-    CONFIG.write_text(f"# mine\n{GOOD}")
-    before, there = show(), files()
-    done = install_sh()
-    return {"done": done, "before": before, "now": show(), "same": files() == there, "config": CONFIG.read_text()}
-
-
 def uninstalls() -> dict[str, Any]:
     """While it runs; then once more."""
     shutil.copy("/payload/checkout/config/default.yaml", CONFIG)
@@ -165,7 +157,7 @@ def configuration_is_bad() -> dict[str, Any]:
 
 def main() -> None:
     tell(
-        *(install, starts, installs_again, killed, reloads, works_a_while, hangs, stops),
+        *(install, starts, killed, reloads, works_a_while, hangs, stops),
         *(camera_is_absent, configuration_is_bad, uninstalls),
     )
 

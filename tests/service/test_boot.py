@@ -57,17 +57,6 @@ def test_the_installed_unit_is_valid_and_enabled(seen: dict[str, Any]) -> None:
     assert install["access"] == [0, True, "0o40750"]
 
 
-def test_an_installation_over_a_running_service_keeps_it_and_what_was_edited(seen: dict[str, Any]) -> None:
-    again = seen["installs_again"]
-    code, output = again["done"]
-    assert code == 0, output
-    assert "kept: /etc/tacshade-edge/config.yaml" in output
-    assert again["config"].startswith("# mine\n")
-    assert again["same"]
-    assert streams(again["now"])
-    assert again["now"]["MainPID"] == again["before"]["MainPID"]
-
-
 def test_uninstalling_leaves_nothing_but_what_it_says(seen: dict[str, Any]) -> None:
     gone = seen["uninstalls"]
     assert gone["running"] == 0

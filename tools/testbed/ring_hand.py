@@ -10,22 +10,26 @@ from tacshade_edge.daemon.app import App, Siblings
 from tacshade_edge.daemon.hand import Lines
 from tacshade_edge.daemon.supervisor import Supervisor
 from tacshade_edge.factories import calibrations
-from tacshade_edge.settings import Hand, load_all, load_hand
+from tacshade_edge.settings import Document, Hand, load_all, load_hand
 from tools.testbed.daemon_rig import RingSource
 
 config, fps = Path(sys.argv[1]), float(sys.argv[2])
 rings = {name: RingSource(Path(name), fps) for name in sys.argv[3:]}  # in the order of the sensors, read once
 documents, hand = load_all(config), load_hand(config)
 lines = Lines(hand.fingers if hand else ())
-mine = Supervisor(documents, hand, lines.end).run()
-if isinstance(mine, int):
-    leave(mine)
-if isinstance(mine, Hand):
-    process.run(mine, lines)
-    leave(0)
 ring = dict(zip((document.settings.sensor_id for document in documents), sys.argv[3:], strict=True))
-source, line = rings[ring[mine.settings.sensor_id]], lines.fingers.get(mine.settings.sensor_id)
-app = App(mine, source, calibrations.load_calibration(mine), Siblings(line))
-signal.signal(signal.SIGTERM, lambda *_: app.stop())
-app.run()
-leave(0)
+
+
+def work(part: Document | Hand) -> int:
+    """Run the hand's process or a sensor's."""
+    if isinstance(part, Hand):
+        process.run(part, lines)
+        return 0
+    name = part.settings.sensor_id
+    app = App(part, rings[ring[name]], calibrations.load_calibration(part), Siblings(lines.fingers.get(name)))
+    signal.signal(signal.SIGTERM, lambda *_: app.stop())
+    app.run()
+    return 0
+
+
+leave(Supervisor(documents, hand, lines.end).run(work))

@@ -29,30 +29,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up.
 
-    With several sensors in the file, it continues in a separate process for each.
+    With several sensors in the file, each runs in a process of its own.
     """
     start_logging(args.log_level)
     documents = load_all(args.config)
-    document, siblings = documents[0], ALONE
-    if document.several:
-        from tacshade_edge.daemon import hand as process  # only a hand or several sensors need it
-        from tacshade_edge.daemon.hand import Lines
+    if not documents[0].several:
+        return _run_sensor(documents[0], ALONE)
+    from tacshade_edge.daemon import hand as hand_process  # only a hand or several sensors need it
 
-        hand = load_hand(args.config)
-        lines = Lines(hand.fingers if hand else ())
-        shared_lines = _shared_lines(documents)
-        mine = Supervisor(documents, hand, lines.end).run()
-        if isinstance(mine, int):
-            lines.close()
-            for each in shared_lines.values():
-                each.close()
-            return mine
-        start_logging(args.log_level, name_of(mine))
-        if isinstance(mine, Hand):
-            process.run(mine, lines)
+    hand = load_hand(args.config)
+    lines = hand_process.Lines(hand.fingers if hand else ())
+    shared_lines = _shared_lines(documents)
+
+    def work(part: Document | Hand) -> int:
+        start_logging(args.log_level, name_of(part))
+        if isinstance(part, Hand):
+            hand_process.run(part, lines)
             return EXIT_STOPPED
-        document, name = mine, mine.settings.sensor_id
-        siblings = Siblings(lines.fingers.get(name), shared_lines.get(name))
+        name = part.settings.sensor_id
+        return _run_sensor(part, Siblings(lines.fingers.get(name), shared_lines.get(name)))
+
+    return Supervisor(documents, hand, lines.end).run(work)
+
+
+def _run_sensor(document: Document, siblings: Siblings) -> int:
     sources.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
     app = App(document, sources.make_source(document.settings.source), calibration, siblings)

@@ -1,24 +1,30 @@
-"""Recordings with frames that the test hands over; `tests/daemon/test_app_recording.py` records a running daemon."""
+"""Recordings with frames that the test hands over; test_app.py records a running daemon."""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tacshade_edge.daemon import record
-from tacshade_edge.daemon.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
+from tacshade_edge.daemon.record import STOPPED, TIME, ByteQueue, LiveRecorder, Recorded
+from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.tables.frame_table import read_table
@@ -27,12 +33,43 @@ from tools.testbed.painted_sensor import FREE, TOUCHED
 from tools.testbed.patience import patience, wait_until
 
 
+@given(st.lists(st.tuples(st.integers(1, 15), st.booleans()), max_size=40))
+def test_every_item_is_taken_in_order_or_counted_and_the_limit_holds(steps: list[tuple[int, bool]]) -> None:
+    queue: ByteQueue[tuple[int, int]] = ByteQueue(20)
+    taken: list[tuple[int, int]] = []
+    held = 0
+    for number, (size, take) in enumerate(steps):
+        before = queue.refused
+        queue.put((number, size), size)
+        held += size if queue.refused == before else 0
+        assert held <= 20
+        if take and (item := queue.take(0)) is not None:
+            taken.append(item)
+            held -= item[1]
+    queue.close()
+    while not queue.drained:
+        item = queue.take(0)
+        assert item is not None
+        taken.append(item)
+    assert taken == sorted(taken)
+    assert len(taken) + queue.refused == len(steps)
+
+
+def test_an_item_of_any_size_fits_an_empty_queue_and_a_reserve_is_for_its_kind() -> None:
+    queue: ByteQueue[str] = ByteQueue(10)
+    queue.put("huge", 99)
+    queue.put("a", 1)
+    assert (len(queue), queue.refused) == (1, 1)
+    queue.put("event", 1, reserve_bytes=90)
+    assert [queue.take(0), queue.take(0), queue.take(0)] == ["huge", "event", None]
+
+
 class Live:
     """A recorder and the tap that the grab thread would use."""
 
     def __init__(self, calibration: Calibration, folder: Path) -> None:
-        self.reports: list[RecordingEnded] = []
-        self.recorder = LiveRecorder(self.reports.append)
+        self.reports: list[str] = []
+        self.recorder = LiveRecorder(lambda: self.reports.append("written"))
         self.folder = folder / "recs" / "one"
         self._calibration = calibration
 
@@ -98,7 +135,7 @@ def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
     about = live.about()
     assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == ("stopped", 1001, 6, "1")
     assert live.recorder.counts() == {"written": 5, "dropped": 0, "waiting": 0}
-    assert live.reports == [RecordingEnded()]
+    assert live.reports == ["written"]
     live.give(*frames(1))
     live.recorder.event("late")
     live.recorder.end(STOPPED)
@@ -299,3 +336,36 @@ def test_frames_of_another_reference_are_not_before(live: Live, calibration: Cal
     live.poll_until_ended()
     assert written(live.folder) == [frame.t_ns for frame in after]
     live.recorder.end(STOPPED)
+
+
+pytest.importorskip("mcap")
+
+pytest.importorskip("foxglove_schemas_protobuf")
+
+
+def test_a_recording_in_mcap_and_one_that_was_torn(
+    calibration: Calibration, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    recorder = LiveRecorder(lambda: None)
+    folder = tmp_path / "one"
+    recorder.start(folder, 60.0, "sensor_id: a\n", calibration, {}, partial(McapRecorder, sensor_id="a"))
+    assert recorder.tap is not None
+    for k in range(6):
+        recorder.tap(Frame(k, 1000 + k, 5 + k, (FREE, TOUCHED)[k % 2]))
+    wait_until(lambda: recorder.counts()["written"] == 6, 20, "the frames are written")
+    torn = (folder / "000.mcap.part").read_bytes()
+    recorder.end(STOPPED)
+    found: list[Recorded] = []
+    wait_until(lambda: bool(found) or bool(found.extend(filter(None, [recorder.poll()]))), 20, "it has ended")
+    recorder.join(patience(20))
+    assert (found[0].frames, found[0].dropped, found[0].ending) == (6, 0, STOPPED)
+    (folder / "000.mcap").unlink()
+    (folder / "000.mcap.part").write_bytes(torn[:-50])  # as if it had been killed
+    with caplog.at_level(logging.WARNING):
+        RecordRequests.fix(tmp_path)
+    assert "000.mcap: repaired a recording that a daemon left unfinished when it died" in caplog.text
+    recording = Recording(folder)
+    assert not recording.cut_off
+    frames = [recorded.frame for _ in range(4) if (recorded := recording.read()) is not None]
+    np.testing.assert_array_equal(frames[3].image, TOUCHED)
+    assert [frame.t_ns for frame in frames] == [1000, 1001, 1002, 1003]

@@ -1,24 +1,117 @@
+"""Recordings replayed: reconstructed in order, played for a person, published."""
+
 from __future__ import annotations
 
 import json
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 from support.recordings import write_recording
 
 from tacshade_edge.cli import main
-from tacshade_edge.core.profiles import DEFAULT
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.daemon.replay import Playback, Progress, replay
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, payloads
+from tacshade_edge.types import Reconstruction
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
 
+IMAGES = [FREE, TOUCHED, BLACK, TOUCHED]
+
+PERIOD_NS = 20_000_000
+
+
+def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, bool, float]], list[str]]:
+    """What was counted; sequence number, contact and our time of each delivery; and what was told."""
+    delivered: list[tuple[int, bool, float]] = []
+    told: list[str] = []
+
+    def deliver(recorded: RecordedFrame, result: Reconstruction) -> None:
+        assert result.t_ns == recorded.frame.t_ns
+        delivered.append((result.seq, result.contact, time.monotonic()))
+
+    progress = Progress()
+    reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
+    replay(Recording(folder), reconstructor, [deliver], progress, speed=speed, undecodable=told.append)
+    return progress, delivered, told
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "rec", IMAGES, PERIOD_NS)
+
+
+def test_every_frame_is_delivered_in_order_and_counted(folder: Path) -> None:
+    progress, delivered, told = play(folder, None)
+    assert [(seq, contact) for seq, contact, _ in delivered] == [(0, False), (1, True), (2, False), (3, True)]
+    assert (progress.frames, progress.contacts, progress.invalid, progress.undecodable) == (4, 2, 1, 0)
+    assert progress.recorded_seconds == pytest.approx(0.08)
+    assert progress.speed_up == pytest.approx(0.08 / progress.seconds)
+    assert progress.as_dict()["frames"] == 4
+    assert told == []
+
+
+def test_no_frame_comes_before_its_time(folder: Path) -> None:
+    speed = 0.5
+    began = time.monotonic()
+    _, delivered, _ = play(folder, speed)
+    for seq, _, at in delivered:
+        assert at - began >= seq * PERIOD_NS / 1e9 / speed - 1e-3
+
+
+def test_what_cannot_be_read_is_told_and_passed_over(folder: Path) -> None:
+    (folder / "000000.png").unlink()
+    progress, delivered, told = play(folder, None)
+    assert [seq for seq, _, _ in delivered] == [1, 2, 3]
+    assert (progress.frames, progress.undecodable) == (3, 1)
+    assert progress.recorded_seconds == pytest.approx(0.06)
+    assert len(told) == 1
+    assert "000000.png: No such file" in told[0]
+
+
+def test_back_shows_the_frame_before_from_anywhere(tmp_path: Path) -> None:
+    folder = write_recording(tmp_path / "rec", [FREE] * 6, period_ns=1_000_000)
+    player = Playback(lambda: Recording(folder), 1.0, lambda _: None)
+    shown: SimpleQueue[int] = SimpleQueue()
+
+    def play() -> None:
+        for _ in range(13):
+            shown.put(player.read().frame.seq)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    assert [shown.get(timeout=patience(20)) for _ in range(6)] == [0, 1, 2, 3, 4, 5]  # and waits at its end
+    asked: list[tuple[PlaybackCommand, int]] = [
+        (PlaybackCommand(back=True), 4),
+        (PlaybackCommand(back=True), 3),
+        (PlaybackCommand(step=True), 4),
+        (PlaybackCommand(seek_s=0.001), 1),
+        (PlaybackCommand(back=True), 0),
+        (PlaybackCommand(back=True), 0),
+        (PlaybackCommand(step=True), 1),
+    ]
+    for command, seq in asked:
+        player.command(command)
+        assert shown.get(timeout=patience(20)) == seq, command
+    thread.join(patience(20))
+    assert player.status()["position_s"] == pytest.approx(0.001)
+    assert player.status()["paused"]
+
+
 BASE = "tacshade/replay"
+
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 

@@ -1,22 +1,41 @@
+"""What is published of a frame, the health, the preview, and the announcement in Home Assistant."""
+
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.ledger import FrameOutcome
+from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.publishing import Publisher
+from tacshade_edge.daemon.profiles import ActiveProfile
+from tacshade_edge.daemon.publishing import STATUS, WIDTH_PX, Health, HomeAssistant, Preview, Publisher
+from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.references import References
+from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.session_worker import SessionRequests
+from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
-from tacshade_edge.types import Calibration, Frame, Need, Pose, Slip
+from tacshade_edge.protocol.codec import encode_json
+from tacshade_edge.protocol.home_assistant import discovery_topics
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Pose, Reconstruction, Slip
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import touched_depth_mm
+from tools.testbed.patience import wait_until
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
+
 PERIOD_NS = 20_000_000  # 50 frames per second
 
 
@@ -118,12 +137,6 @@ def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_cont
     assert only_height.seqs("contact") == [2, 5]
 
 
-def test_a_contact_of_which_nobody_wants_anything_is_counted(calibration: Calibration, pictures: Any) -> None:
-    played = Played(calibration, [pictures.free, pictures.touched, pictures.touched], ())
-    assert played.offers == []
-    assert played.outcomes == ["without_contact", "unasked", "unasked"]
-
-
 def test_shear_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     def need(*wanted: str, always: bool = False) -> Need:
         return Publisher(ignore, ignore, ignore, lambda stream: stream in wanted, always).need()
@@ -185,3 +198,169 @@ def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: An
         (4, 7, 20.0),
     ]
     assert (told[0]["x_mm"], told[0]["y_mm"]) == pytest.approx(one.centroid_mm[:2])
+
+
+DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"
+
+
+def test_rates_are_between_two_snapshots() -> None:
+    ledger = FrameLedger()
+    health = Health(ledger, Timings())
+    ends: list[FrameOutcome] = ["published", "published", "without_contact", "unasked", "invalid"]
+    for seq, end in enumerate(ends):
+        ledger.captured(seq)
+        ledger.settle(seq, end)
+    first = health.snapshot(7, {"connects": 1})
+    assert first["source_dropped"] == 7
+    assert first["mqtt"] == {"connects": 1}
+    assert first["frames"]["captured"] == 5
+    assert first["latency_ms"] is None
+    # one interval, so the rates have the ratio of the counts; they are rounded
+    rates = [first[name] / first["capture_fps"] for name in ("delivered_fps", "published_fps")]
+    assert [round(rate, 2) for rate in rates] == [0.8, 0.4]
+    second = health.snapshot(7, {})
+    assert (second["capture_fps"], second["delivered_fps"], second["published_fps"]) == (0, 0, 0)
+
+
+def test_the_reason_of_the_newest_frame_stays_while_contacts_without_depth_follow() -> None:
+    health = Health(FrameLedger(), Timings())
+    frame = Frame(0, 0, 0, np.zeros((2, 2), np.uint8))
+    empty = HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1)
+    cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+    torn = Reason(ReasonCode.TORN, "torn")
+    health.see(FrameResult(frame, None, Reconstruction(0, 0, 0, "", False, torn, False, False, None, empty, cloud)))
+    health.see(FrameResult(frame, None, None))
+    assert health.snapshot(0, {})["invalid_reason_code"] == "torn"
+
+
+def test_every_key_is_documented() -> None:
+    section = DOCUMENT.read_text(encoding="utf-8").partition("## Health\n")[2].partition("\n## ")[0]
+    documented = {
+        name for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for name in re.findall("`(.+?)`", row)
+    }
+    timings = Timings()
+    timings.add({"wait": 1.0, "latency": 2.0})
+    message = json.loads(encode_json(Health(FrameLedger(), timings).snapshot(0, {})))
+    reported = {each.health_key for each in (Robot, SessionRequests, References, RecordRequests, ActiveProfile)}
+    assert set(message) | reported == documented
+    assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
+    assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
+    for name in message["frames"]:
+        assert f"`{name}`" in section
+
+
+class Link:
+    """A broker with, or without, somebody who looks."""
+
+    def __init__(self) -> None:
+        self.connected = True
+        self.listened = True
+        self.offered: list[tuple[str, bytes, int]] = []
+
+    def has_listener(self, stream: str) -> bool:
+        return self.listened
+
+    def offer(self, *payload: Any) -> None:
+        self.offered.append(payload)
+
+
+def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_needed(pictures: Any) -> None:
+    link = Link()
+    preview = Preview(link)  # type: ignore[arg-type]
+    preview.publish()
+    assert link.offered == []
+    for seq in (3, 4):
+        preview.see(FrameResult(Frame(seq, 0, 0, pictures.touched), None, None))
+    for away, alone in ((True, False), (False, True), (False, False), (False, False)):
+        link.connected, link.listened = not away, not alone
+        preview.publish()
+    ((stream, jpeg, seq),) = link.offered
+    assert (stream, seq) == ("preview", 4)
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape == (240, WIDTH_PX)
+
+
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+USERS = ("hand", "other", "homeassistant")
+
+TOPICS = discovery_topics("hand")
+
+
+@contextmanager
+def announcing(port: int, *, user: str = "hand", wanted: bool) -> Iterator[tuple[MqttLink, HomeAssistant]]:
+    """What of a daemon named `hand` announces it."""
+    link = MqttLink(
+        host="127.0.0.1",
+        port=port,
+        base_topic="tacshade/hand",
+        client_id="tacshade-hand",
+        username=user,
+        password=user,
+        on_request=lambda _: None,
+        on_outcome=lambda *_: None,
+    )
+    announcer = HomeAssistant(link, "hand", wanted=wanted)
+    announcer.announce(["fast", "paper"])
+    link.start()
+    try:
+        wait_until(lambda: link.connected, 10, "connected")
+        yield link, announcer
+    finally:
+        link.stop(2)
+
+
+def announced_state(assistant: Subscriber) -> str:
+    told = assistant.of(f"tacshade/hand/{STATUS}")
+    return str(json.loads(told[-1])["state"]) if told else ""
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[Broker]:
+    rules = tmp_path / "acl"
+    rules.touch(0o600)
+    rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
+    with Broker(tmp_path, users={name: name for name in USERS}, more=(f"acl_file {rules}",)) as made:
+        yield made
+
+
+def eyes(guarded: Broker) -> Subscriber:
+    """Home Assistant's: what it may read."""
+    subscriber = Subscriber(guarded.port)
+    subscriber.client.username_pw_set("homeassistant", "homeassistant")
+    return subscriber
+
+
+@pytest.fixture
+def assistant(guarded: Broker) -> Iterator[Subscriber]:
+    with eyes(guarded) as subscriber:
+        yield subscriber
+
+
+@pytest.mark.broker
+@needs_broker
+def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) -> None:
+    with announcing(guarded.port, wanted=True) as (link, announcer):
+        wait_until(lambda: announced_state(assistant) == "announced", 10, "told")
+        wait_until(lambda: all(assistant.of(topic) for topic in TOPICS), 10, "announced")
+        select = next(topic for topic in TOPICS if "/select/" in topic)
+        assert json.loads(assistant.of(select)[-1])["options"] == ["fast", "paper"]
+        announcer.announce(["fast", "paper"])  # nothing new
+        announcer.announce(["fast", "paper", "auto"])
+        wait_until(lambda: len(assistant.of(select)) == 2, 10, "announced anew")
+        assert json.loads(assistant.of(select)[-1])["options"] == ["fast", "paper", "auto"]
+        assert link.counters()["refused"] == 0
+    with announcing(guarded.port, wanted=False) as (link, _):
+        wait_until(lambda: announced_state(assistant) == "withdrawn", 10, "told")
+        wait_until(lambda: all(assistant.of(topic)[-1] == b"" for topic in TOPICS), 10, "taken back")
+        assert link.counters()["refused"] == 0
+    with eyes(guarded) as later:
+        later.wait_for(f"tacshade/hand/{STATUS}")
+        assert not [m for m in later.messages if m.topic.startswith("homeassistant/")]
+
+
+@pytest.mark.broker
+@needs_broker
+def test_who_never_announced_writes_nothing_elsewhere(guarded: Broker, assistant: Subscriber) -> None:
+    with announcing(guarded.port, wanted=False):
+        wait_until(lambda: b"online" in assistant.of("tacshade/hand/state"), 10, "online")
+    wait_until(lambda: b"stopped" in assistant.of("tacshade/hand/state"), 10, "stopped")
+    assert {m.topic.split("/")[0] for m in assistant.messages} == {"tacshade"}

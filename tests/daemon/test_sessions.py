@@ -1,0 +1,708 @@
+"""Stitching sessions: their presses on disk and in the map, their thread, and what is published of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
+
+from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.daemon import session as map_publisher
+from tacshade_edge.daemon import session_worker
+from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
+from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session, thinned_points
+from tacshade_edge.daemon.session_worker import SessionRequests, SessionWorker
+from tacshade_edge.protocol.requests import Request, encode_reply
+from tacshade_edge.protocol.results import (
+    NoSession,
+    PressAdded,
+    SessionAborted,
+    SessionBegun,
+    SessionEnded,
+    SessionResult,
+    SessionStatus,
+)
+from tacshade_edge.protocol.wire import CloudMessage, decode
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.storage.stitching.stitch_file import StitchFile, open_session
+from tacshade_edge.types import Frame, Need, Pose, Reconstruction
+from tools.testbed.bumpy_surface import grid_poses, press_of
+from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.patience import patience, wait_until
+
+
+def test_a_frame_is_for_those_who_waited_before_it_was_taken() -> None:
+    waiting, early, late = FrameWaiters[Any]("wait"), list[Reason]().append, list[Reason]().append
+    waiting.put(10, early)
+    waiting.put(20, late)
+    assert [waiting.take(9), waiting.take(15), waiting.take(20)] == [[], [early], [late]]
+    assert len(waiting) == 0
+
+
+def test_who_waits_in_vain_or_is_one_too_many_is_refused() -> None:
+    waiting, early, late = FrameWaiters[Any]("wait"), list[Reason](), list[Reason]()
+    waiting.put(0, early.append)
+    waiting.put(1, late.append)
+    waiting.expire(FRAME_TIMEOUT_NS)
+    assert (early, late) == ([], [])
+    waiting.expire(FRAME_TIMEOUT_NS + 1)
+    assert ([reason.code for reason in early], late) == ([ReasonCode.TIMEOUT], [])
+    ended = Reason(ReasonCode.NO_SESSION, "the session has ended")
+    waiting.refuse_all(ended)
+    assert (late, len(waiting)) == ([ended], 0)
+    refused = list[Reason]()
+    for _ in range(WAITING_MAX + 1):
+        waiting.put(0, refused.append)
+    assert [reason.code for reason in refused] == [ReasonCode.BUSY]
+
+
+def raster(rows: int = 40, cols: int = 50) -> Raster:
+    z = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols) / 1000
+    z[:3] = np.nan
+    return Raster(z, 5.0, -2.0, 0.25)
+
+
+def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevision:
+    return MapRevision("pad", number, 3, 2, 0xABCD, folder, lambda: of or raster())
+
+
+def test_a_growing_map_is_told_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, bytes]] = []
+    publisher = MapPublisher(lambda topic, payload: told.append((topic, payload)))
+    assert [publisher.publish(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
+    assert not publisher.publish(revision(6, "/sessions/pad"))
+    assert [topic for topic, _ in told] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
+    monkeypatch.setattr(map_publisher, "PERIOD_S", -1.0)
+    publisher.publish(revision(7, "/sessions/pad"))
+    publisher.publish(revision(8))
+    assert len(told) == 8  # a period after the one before
+
+
+def test_a_subscriber_decodes_the_map() -> None:
+    told: dict[str, bytes] = {}
+    MapPublisher(told.__setitem__).publish(revision(9, "/sessions/pad"))
+    about = json.loads(told["map/final"])
+    assert (about["name"], about["revision"], about["presses"], about["used"]) == ("pad", 9, 3, 2)
+    assert (about["width_mm"], about["length_mm"], about["spacing_mm"]) == (12.5, 10.0, 0.25)
+    assert about["area_mm2"] == 37 * 50 / 16
+    assert about["folder"] == "/sessions/pad"
+    cloud = decode(told["map/cloud"])
+    assert isinstance(cloud, CloudMessage)
+    assert (cloud.seq, cloud.calibration_crc32, cloud.pose) == (9, 0xABCD, None)
+    assert len(cloud.points_mm) == about["points"] == 37 * 50
+    np.testing.assert_allclose(cloud.points_mm, raster().points(), atol=1e-5)
+
+
+def test_a_large_map_is_told_with_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_publisher, "POINTS_MAX", 300)
+    points, spacing_mm = thinned_points(raster())
+    assert 100 < len(points) <= 300
+    assert spacing_mm == 0.75
+    every = {tuple(p) for p in np.round(raster().points(), 4).tolist()}
+    assert all(tuple(p) in every for p in np.round(points.astype(float), 4).tolist())
+
+
+POSES = grid_poses()[:3]
+
+
+def begun(folder: Path, name: str = "pad") -> Session:
+    session = Session.begin(folder, name, painted_calibration(), "left")
+    for k, pose in enumerate(POSES):
+        assert session.add(press_of(pose, k), pose, 10 + k) == PressAdded(k + 1, 10 + k, 600)
+    return session
+
+
+def test_a_session_is_resumed_as_it_was(tmp_path: Path) -> None:
+    assert Session.resume(tmp_path, "left") is None
+    session = begun(tmp_path)
+    session.close()
+    again = Session.resume(tmp_path, "left")
+    assert again is not None
+    assert again.status(0) == session.status(0)
+    (ended, final), (_, other) = session.finish(2), again.finish(2)
+    assert (ended.name, ended.presses, ended.used) == ("pad", 3, 3)
+    assert (final.revision, final.folder) == (4, str(tmp_path / "pad"))
+    np.testing.assert_array_equal(final.raster().z_mm, other.raster().z_mm)
+    about = json.loads((tmp_path / "pad" / "map.json").read_text())
+    assert (about["used"], about["missed"]) == (3, 2)
+    assert [record["press"] for record in about["presses"]] == [1, 2, 3]
+    for record in about["presses"]:
+        assert set(record) == {"press", "used", "reason", "points", "moved_mm", "turned_deg"}
+        assert record["used"]
+        assert record["points"] > 0
+    assert Session.resume(tmp_path, "left") is None
+
+
+def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> None:
+    """``session.json`` and ``presses.bin`` written by hand: sessions on a disk outlive an upgrade."""
+    folder = tmp_path / "old"
+    folder.mkdir()
+    info = '{"name": "old", "begun_wall_ns": 5, "calibration_crc32": 77, "skin_radius_mm": 20.0, '
+    (folder / "session.json").write_text(info + '"state": "open", "version": 1}')
+    pose = (1.0, 0, 0, 0, 1, 0, 0, 0, 1, 100, 200, 0)
+    points = [(x, 0.0, 20.0, 0, 0, 1, 0.5) for x in (0.0, 0.25, 0.5)]
+    body = struct.pack("<12d", *pose) + b"".join(struct.pack("<7f", *point) for point in points)
+    (folder / "presses.bin").write_bytes(struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body)
+    session = Session.resume(tmp_path, "left")
+    assert session is not None
+    assert (session.name, session.presses, session.points) == ("old", 1, 3)
+    np.testing.assert_allclose(session.map_revision().raster().points()[0], (100, 200, 20))
+    session.add(press_of(POSES[0], 0), POSES[0], 1)
+    session.close()
+    written = (folder / "presses.bin").read_bytes()
+    assert written.startswith(struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body)
+    assert len(written) == 2 * 12 + len(body) + 12 * 8 + 600 * 28
+
+
+def test_a_full_map_refuses_and_an_aborted_session_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = begun(tmp_path)
+    monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.POINTS_MAX", 2000)
+    with pytest.raises(RefusedError) as caught:
+        session.add(press_of(POSES[0], 0), POSES[0], 13)
+    assert caught.value.reason.code == ReasonCode.MAP_FULL
+    assert session.status(1).presses == 3
+    session.close()
+    assert len(StitchFile.resume(tmp_path / "pad")[1]) == 3  # it is not on the disk either
+    assert session.abort() == SessionAborted("pad", 3)
+    assert [*tmp_path.iterdir()] == []
+
+
+MOST_MB = 300
+
+"""Beside what the daemon takes without a session; `systemd/serial.conf` gives both."""
+
+LEFT_MB = 40
+
+"""When it has ended; without a word to the C library it was 200."""
+
+SCENARIO = """
+import sys, tempfile
+from pathlib import Path
+import numpy as np
+from tools.testbed.painted_sensor import painted_calibration
+from tacshade_edge.core.stitching.press_points import PressPoints
+from tacshade_edge.core.stitching.surface_map import EXTENT_MAX_TILES, TILES_MAX
+from tacshade_edge.daemon.session import Session
+from tacshade_edge.free_memory import return_free_memory
+from tacshade_edge.rigid import Rigid
+
+
+def memory_mb(field):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(field)) / 1024
+
+
+x, y = np.meshgrid(np.arange(62) * 0.25, np.arange(62) * 0.25)  # fills a tile
+points = np.stack((x, y, 20 + 0.3 * np.sin(x / 3)), axis=-1).reshape(-1, 3).astype(np.float32)
+press = PressPoints(points, np.tile(np.float32((0, 0, 1)), (len(points), 1)), np.ones(len(points), np.float32))
+tiles = TILES_MAX // 4  # as far apart as a full session may spread, in a quarter of the time
+side = int(tiles**0.5)
+apart_mm = 16.0 * (EXTENT_MAX_TILES / tiles) ** 0.5
+with tempfile.TemporaryDirectory() as folder:
+    session = Session.begin(Path(folder), "full", painted_calibration(), "left")
+    before = memory_mb("VmRSS")
+    for k in range(tiles):
+        at = np.array((k % side * apart_mm + 0.1, k // side * apart_mm + 0.1, 0.0))
+        session.add(press, Rigid(np.eye(3), at), k)
+    assert session.status(0).tiles == tiles
+    session.map_revision().raster()
+    session.finish(0)
+del session
+return_free_memory()
+print(memory_mb("VmHWM") - before, memory_mb("VmRSS") - before)
+"""
+
+
+@pytest.mark.slow
+def test_a_full_session_stays_within_what_the_service_has() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(("tests", os.environ.get("PYTHONPATH", "")))}
+    words = [sys.executable, "-c", SCENARIO]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=root, env=environment)
+    assert done.returncode == 0, done.stderr
+    most_mb, left_mb = map(float, done.stdout.split())
+    assert 100 < most_mb < MOST_MB
+    assert left_mb < LEFT_MB
+
+
+DEADLINE_S = 20.0
+
+Outcome = SessionResult | Reason
+
+
+class Robot:
+    """Sends commands, shows frames, waits for answers."""
+
+    def __init__(self, folder: Path, *, automatic: bool = False) -> None:
+        self.maps: list[MapRevision] = []
+        self.worker = SessionWorker(folder, "left", self.maps.append, automatic=automatic)
+        self.thread = threading.Thread(target=self.worker.run)
+        self.thread.start()
+        self.seq = 0
+
+    def ask(self, action: str, name: str = "") -> Outcome:
+        answers = self.begin(action, name)
+        return wait(answers)
+
+    def begin(self, action: str, name: str = "") -> SimpleQueue[Outcome]:
+        answers: SimpleQueue[Outcome] = SimpleQueue()
+        self.worker.submit(action, name, answers.put)
+        return answers
+
+    def show(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True, t_ns: int | None = None) -> None:
+        self.seq += 1
+        at_ns = time.monotonic_ns() if t_ns is None else t_ns
+        where = Pose(at_ns, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
+        frame = Frame(self.seq, at_ns, 0, np.zeros((4, 4), np.uint8), where)
+        seen = Reconstruction(self.seq, at_ns, 0, *(getattr(result, n) for n in REST))
+        self.worker.observe(frame, seen, calibrated())
+
+    def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> Outcome:
+        answers = self.begin("ADD")
+        self.show(result, x_mm, pose=pose)
+        return wait(answers)
+
+    def end(self) -> None:
+        self.worker.stop()
+        self.thread.join(patience(DEADLINE_S))
+        assert not self.thread.is_alive()
+
+
+REST = (
+    "profile", "valid", "reason", "contact", "saturated", "degraded", "height", "cloud", "objects", "volume_mm3",
+    "repaired_px",
+)  # fmt: skip
+
+
+def code(outcome: Outcome) -> ReasonCode | None:
+    """Why it was not done; None when it was."""
+    return outcome.code if isinstance(outcome, Reason) else None
+
+
+def status(robot: Robot) -> SessionStatus:
+    outcome = robot.ask("STATUS")
+    assert isinstance(outcome, SessionStatus)
+    return outcome
+
+
+def wait(answers: SimpleQueue[Outcome]) -> Outcome:
+    try:
+        return answers.get(timeout=patience(DEADLINE_S))
+    except Empty:
+        raise AssertionError("no answer") from None
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    one = Robot(tmp_path / "sessions")
+    yield one
+    one.end()
+
+
+@pytest.fixture(scope="module")
+def ball() -> Reconstruction:
+    return step("fast", pressed("ball", 3.0).image)
+
+
+@pytest.fixture(scope="module")
+def nothing() -> Reconstruction:
+    return step("fast", unloaded())
+
+
+def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
+    robot.show(ball)
+    assert robot.ask("BEGIN", "pad-1") == SessionBegun("pad-1")
+    for k in range(3):
+        added = robot.add(ball, 3.0 * k)
+        assert isinstance(added, PressAdded)
+        assert (added.press, added.frame) == (k + 1, robot.seq)
+        assert added.points > 100
+    assert (status(robot).name, status(robot).presses) == ("pad-1", 3)
+    ended = robot.ask("END")
+    assert isinstance(ended, SessionEnded)
+    assert (ended.name, ended.presses, ended.used) == ("pad-1", 3, 3)
+    assert robot.ask("STATUS") == NoSession()
+    folder = tmp_path / "sessions" / "pad-1"
+    about = json.loads((folder / "map.json").read_text())
+    assert [record["used"] for record in about["presses"]] == [True] * 3
+    assert [r.revision for r in robot.maps] == [1, 2, 3, 4]
+    assert [bool(r.folder) for r in robot.maps] == [False, False, False, True]
+    with np.load(folder / "map.npz") as npz:
+        np.testing.assert_array_equal(npz["z_mm"], robot.maps[-1].raster().z_mm)
+
+
+def test_a_folder_of_another_owner(tmp_path: Path, ball: Reconstruction) -> None:
+    first = Robot(tmp_path)
+    first.show(ball)
+    assert first.ask("BEGIN", "one") == SessionBegun("one")
+    second = Robot(tmp_path)
+    second.show(ball)
+    refused = second.ask("BEGIN", "two")
+    assert isinstance(refused, Reason)
+    assert refused.code == ReasonCode.IN_USE
+    assert f"sensor left, process {os.getpid()}" in refused.text
+    assert isinstance(first.add(ball), PressAdded)
+    first.end()
+    # Free now: the session that is open there is of this sensor.
+    assert code(second.ask("BEGIN", "two")) == ReasonCode.BUSY
+    assert status(second).presses == 1
+    second.end()
+
+
+def test_a_session_whose_folder_was_deleted_keeps_nobody_out(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path)
+    robot.show(ball)
+    for name in ("one", "two"):
+        assert robot.ask("BEGIN", name) == SessionBegun(name)
+        assert isinstance(robot.add(ball), PressAdded)
+        shutil.rmtree(tmp_path / name)
+        assert code(robot.add(ball, 3.0)) == ReasonCode.DISK
+    assert isinstance(robot.ask("ABORT"), SessionAborted)
+    assert robot.ask("BEGIN", "three") == SessionBegun("three")
+    robot.end()
+
+
+def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
+    folder = tmp_path / "sessions"
+    first, whole = Robot(folder), Robot(tmp_path / "whole")
+    for robot in (first, whole):
+        robot.show(ball)
+        robot.ask("BEGIN", "pad")
+        robot.add(ball, 0.0)
+        robot.add(ball, 3.0)
+    first.end()  # as a kill does, it leaves the session open on the disk
+    assert open_session(folder, "left") == folder / "pad"
+    second = Robot(folder)
+    assert (status(second).name, status(second).presses) == ("pad", 2)
+    for robot in (second, whole):
+        added = robot.add(ball, 6.0)
+        assert isinstance(added, PressAdded)
+        assert added.press == 3
+        assert code(robot.ask("END")) is None
+        robot.end()
+    np.testing.assert_array_equal(second.maps[-1].raster().z_mm, whole.maps[-1].raster().z_mm)
+
+
+def test_what_cannot_be_added(robot: Robot, ball: Reconstruction, nothing: Reconstruction) -> None:
+    assert robot.ask("ADD") == Reason(ReasonCode.NO_SESSION, "no session is open; begin one first")
+    assert code(robot.ask("BEGIN")) == ReasonCode.NO_FRAME
+    robot.show(nothing)
+    robot.ask("BEGIN")
+    assert code(robot.add(nothing)) == ReasonCode.NO_CONTACT
+    black = replace(nothing, valid=False, reason=Reason(ReasonCode.BLACK, "black"))
+    assert code(robot.add(black)) == ReasonCode.FRAME_INVALID
+    assert code(robot.add(ball, pose=False)) == ReasonCode.NO_POSE
+    assert code(robot.ask("END")) == ReasonCode.NO_PRESS
+    assert code(robot.ask("BEGIN")) == ReasonCode.BUSY
+    assert status(robot).presses == 0
+
+
+def test_a_frame_from_before_the_command_is_not_taken(robot: Robot, ball: Reconstruction) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    answers = robot.begin("ADD")
+    robot.show(ball, t_ns=time.monotonic_ns() - 10**9)
+    robot.show(ball, 5.0)
+    added = wait(answers)
+    assert isinstance(added, PressAdded)
+    assert added.frame == robot.seq
+
+
+def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    answers = robot.begin("ADD")
+    robot.worker.poll()
+    assert answers.empty()
+    monkeypatch.setattr("tacshade_edge.daemon.observer.FRAME_TIMEOUT_NS", -1)
+    robot.worker.poll()
+    assert code(wait(answers)) == ReasonCode.TIMEOUT
+
+
+def test_settled_contacts_are_added_by_themselves(
+    tmp_path: Path, ball: Reconstruction, nothing: Reconstruction
+) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    robot.show(nothing)
+    robot.ask("BEGIN")
+    start_ns = time.monotonic_ns()
+    for k in range(60):
+        touching = k % 30 >= 10
+        robot.show(ball if touching else nothing, t_ns=start_ns + k * 33_000_000)
+    assert status(robot).presses == 2
+    robot.end()
+
+
+def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN", "x")
+    robot.add(ball)
+    waiting = robot.begin("ADD")
+    assert robot.ask("ABORT") == SessionAborted("x", 1)
+    assert code(wait(waiting)) == ReasonCode.NO_SESSION
+    assert [path.name for path in (tmp_path / "sessions").iterdir()] == [".owner"]
+    assert code(robot.ask("BEGIN", "x")) is None
+
+
+@pytest.mark.parametrize("action", ["END", "ABORT"])
+def test_what_a_session_took_goes_back_to_the_system(
+    robot: Robot, ball: Reconstruction, action: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    returned: SimpleQueue[None] = SimpleQueue()
+    monkeypatch.setattr(session_worker, "return_free_memory", lambda: returned.put(None))
+    robot.show(ball)
+    robot.ask("BEGIN", "x")
+    assert isinstance(robot.add(ball), PressAdded)
+    assert returned.empty()
+    robot.ask(action)
+    returned.get(timeout=patience(DEADLINE_S))
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
+def test_names_stay_in_the_folder(robot: Robot, ball: Reconstruction, name: str) -> None:
+    robot.show(ball)
+    assert code(robot.ask("BEGIN", name)) == ReasonCode.BAD_NAME
+
+
+def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN", "x")
+    (tmp_path / "sessions" / "x" / "presses.bin").unlink()
+    failed = robot.add(ball)
+    assert code(failed) == ReasonCode.DISK
+    assert "cannot write it" in str(failed)
+    assert status(robot).presses == 0
+
+
+def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
+    tmp_path: Path, ball: Reconstruction, nothing: Reconstruction
+) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    robot.show(nothing)
+    robot.ask("BEGIN")
+    begun_ns = time.monotonic_ns()
+    robot.show(ball, t_ns=begun_ns)
+    assert code(robot.add(ball)) is None
+    for k in range(30):
+        robot.show(ball, t_ns=time.monotonic_ns() + k * 33_000_000)
+    assert status(robot).presses == 1
+    robot.end()
+
+
+def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    robot.show(ball)
+    begun_ns = time.monotonic_ns()
+    for name in ("a", "b"):  # without lifting
+        robot.ask("BEGIN", name)
+        for k in range(12):
+            robot.show(ball, t_ns=begun_ns + k * 33_000_000)
+        assert status(robot).presses == 1
+        robot.ask("END")
+        begun_ns += 12 * 33_000_000
+    robot.end()
+
+
+def test_a_touch_of_nothing_is_no_press(robot: Robot, ball: Reconstruction) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    height = replace(ball.height, contact=np.zeros_like(ball.height.contact))
+    assert code(robot.add(replace(ball, height=height))) == ReasonCode.NO_CONTACT
+    assert status(robot).presses == 0
+
+
+def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
+    maps: list[MapRevision] = []
+
+    def with_pose(frame: Frame) -> Frame:
+        assert frame.image.size == 0  # what waits here must not keep images
+        return replace(frame, pose=Pose(frame.t_ns, 50.0, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
+
+    robot = Robot(tmp_path)
+    robot.end()
+    robot.worker = SessionWorker(tmp_path, "left", maps.append, with_pose)
+    robot.thread = threading.Thread(target=robot.worker.run)
+    robot.thread.start()
+    robot.show(ball)
+    robot.ask("BEGIN")
+    assert code(robot.add(ball, pose=False)) is None
+    robot.end()
+    assert maps[-1].raster().x0_mm > 30
+
+
+def test_a_resumed_map_is_published_at_once(tmp_path: Path, ball: Reconstruction) -> None:
+    first = Robot(tmp_path)
+    first.show(ball)
+    first.ask("BEGIN", "pad")
+    first.add(ball)
+    first.end()
+    second = Robot(tmp_path)
+    second.ask("STATUS")
+    assert [(r.name, r.revision, r.presses, r.folder) for r in second.maps] == [("pad", 1, 1, "")]
+    assert second.worker.state.presses == 1
+    second.end()
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path / ("x" * 300))
+    robot.show(ball)
+    failed = robot.ask("BEGIN", "pad")
+    assert (code(failed), "File name too long" in str(failed)) == (ReasonCode.DISK, True)
+    assert robot.ask("STATUS") == NoSession()
+    robot.end()
+
+
+def test_a_deferred_map_is_published_though_nothing_more_comes(
+    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tacshade_edge.daemon.session_worker.DEFERRED_S", 0.01)
+    published: list[int] = []
+
+    def publish(revision: MapRevision) -> bool:
+        published.append(revision.revision)
+        return len(published) < 3
+
+    robot = Robot(tmp_path)
+    robot.end()
+    robot.worker = SessionWorker(tmp_path, "left", publish)
+    robot.thread = threading.Thread(target=robot.worker.run)
+    robot.thread.start()
+    robot.show(ball)
+    robot.ask("BEGIN")
+    robot.add(ball)
+    wait_until(lambda: len(published) == 3, DEADLINE_S, "published again")
+    robot.ask("STATUS")
+    robot.end()
+    assert published == [1, 1, 1]
+
+
+BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
+
+
+class Sessions:
+    def __init__(self, folder: Path) -> None:
+        self.published: dict[str, bytes] = {}
+        self.replies: list[dict[str, Any]] = []
+        self.sessions = SessionRequests(
+            folder,
+            "left",
+            self.published.__setitem__,
+            lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
+            None,
+        )
+        self.sessions.start()
+
+    def show(self, result: Reconstruction | None, *, pose: bool = True) -> None:
+        t_ns = time.monotonic_ns()
+        at = Pose(t_ns, 1.0, 2.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
+        frame = Frame(1, t_ns, 0, np.zeros((2, 2), np.uint8), at)
+        seen = None if result is None else replace(result, t_ns=t_ns)
+        self.sessions.see(FrameResult(frame, calibrated(), seen))
+
+    def ask(self, request: Request, result: Reconstruction | None = None) -> dict[str, Any]:
+        count = len(self.replies)
+        self.sessions.handle(request)
+        if result is not None:
+            self.show(result)
+        wait_until(lambda: len(self.replies) > count, 20, "a reply")
+        return self.replies[-1]
+
+    def status(self) -> dict[str, Any]:
+        self.sessions.poll()
+        return dict(json.loads(self.published["status/stitching"]))
+
+
+@pytest.fixture
+def sessions(tmp_path: Path) -> Iterator[Sessions]:
+    one = Sessions(tmp_path)
+    yield one
+    one.sessions.stop(20)
+
+
+@pytest.mark.slow
+def test_a_session_over_mqtt(sessions: Sessions, tmp_path: Path) -> None:
+    ball = step("fast", pressed("ball", 3.0).image)
+    assert sessions.ask(BEGIN)["reason_code"] == "no_frame"
+    sessions.show(step("fast", unloaded()))
+    assert sessions.sessions.need() == Need.CONTACT
+    assert sessions.ask(replace(BEGIN, name="7", transaction="t")) == {
+        "transaction": "t",
+        "ok": True,
+        "result": {"name": "7"},
+    }
+    assert sessions.sessions.need() == Need.DEPTH  # every frame, whoever listens
+    assert sessions.status() == {
+        **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
+        **{"missed": 0, "folder": ""},
+    }
+    added = sessions.ask(ADD, ball)["result"]
+    assert (added["press"], added["frame"]) == (1, 1)
+    assert sessions.ask(STATUS)["result"]["points"] == added["points"] > 100
+    ended = sessions.ask(END)["result"]
+    assert (ended["name"], ended["presses"], ended["disagreement_mm"]) == ("7", 1, 0.0)
+    assert sessions.status() == {
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
+        **{"missed": 0, "folder": str(tmp_path / "7")},
+    }
+    assert sessions.sessions.need() == Need.CONTACT
+    assert {"map/cloud", "map/revision", "map/final"} <= set(sessions.published)
+    assert sessions.sessions.health() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
+
+
+def test_what_was_not_added_is_counted_and_told(sessions: Sessions, monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = step("fast", pressed("ball", 3.0).image)
+    refused = sessions.ask(ADD)
+    assert (refused["error"], refused["reason_code"]) == (
+        "NOSESSION: no session is open; begin one first",
+        "no_session",
+    )
+    sessions.show(step("fast", unloaded()))
+    sessions.ask(BEGIN)
+    sessions.show(None)  # a contact that nobody asked for, from before
+    monkeypatch.setattr("tacshade_edge.core.stitching.press_points.REST_NS", 0)
+    sessions.show(ball, pose=False)
+    sessions.show(ball, pose=False)
+    wait_until(lambda: sessions.status()["missed"] == 1, 20, "missed")
+    assert sessions.status()["reason"].endswith("the robot's pose at the frame's time is unknown")
+    sessions.show(step("fast", unloaded()))
+    sessions.show(ball)
+    sessions.show(ball)
+    wait_until(lambda: sessions.status()["presses"] == 1, 20, "the next one")
+    assert (sessions.status()["reason"], sessions.status()["missed"]) == ("", 1)
+    assert sessions.sessions.health() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+
+
+def test_a_stop_does_not_wait_for_a_map(sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sessions.show(step("fast", unloaded()))
+    sessions.ask(replace(BEGIN, name="pad"))
+    sessions.ask(ADD, step("fast", pressed("ball", 3.0).image))
+    finish, go_on = Stitcher.finish, threading.Event()
+
+    def slow(stitcher: Stitcher) -> StitchedMap:
+        assert go_on.wait(patience(20))
+        return finish(stitcher)
+
+    monkeypatch.setattr(Stitcher, "finish", slow)
+    sessions.sessions.handle(END)
+    wait_until(lambda: sessions.status()["state"] == "ending", 20, "ending")
+    sessions.sessions.stop(0.01)
+    assert sessions.status()["state"] == "ending"
+    assert open_session(tmp_path, "left") == tmp_path / "pad"  # for the next sessions
+    go_on.set()
+    wait_until(lambda: sessions.status()["state"] == "idle", 20, "idle")
