@@ -47,30 +47,14 @@ _ACL = (
 
 @dataclass(frozen=True, slots=True)
 class DaemonState:
-    """The retained messages that the broker holds from a daemon with this sensor's name.
+    """The retained messages that the broker holds from a daemon with this sensor's name."""
 
-    Attributes
-    ----------
-    state : str
-        ``online``, ``degraded``, ``stopped``, ``offline``; empty if there is none.
-    reason : str
-        Why the daemon is not online.
-    fps : float
-        Frames per second that the daemon last delivered.
-    place : str
-        Where the daemon runs.
-    rival : str
-        Where another daemon runs that waits for the same name; empty if there is none.
-    published : dict
-        All messages: from topic below the daemon's base topic to payload.
-    """
-
-    state: str = ""
-    reason: str = ""
-    fps: float = 0.0
-    place: str = "in an unknown place"
-    rival: str = ""
-    published: dict[str, bytes] = field(default_factory=dict, compare=False)
+    state: str = ""  # `online`, `degraded`, `stopped`, `offline`; empty if there is none
+    reason: str = ""  # why the daemon is not online
+    fps: float = 0.0  # frames per second that it last delivered
+    place: str = "in an unknown place"  # where it runs
+    rival: str = ""  # where another one runs that waits for the same name
+    published: dict[str, bytes] = field(default_factory=dict, compare=False)  # all, by topic below the base topic
 
     @property
     def alive(self) -> bool:
@@ -124,10 +108,9 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Judge whether a daemon is running and whether it is this machine's."""
     if daemon.alive and daemon.rival:
-        found = (
-            f"two daemons are using {sensor_id}: one is running {daemon.place}, and the other is waiting {daemon.rival}"
-        )
-        return warning("daemon", found, "stop one of the two daemons, or give its sensor another sensor_id")
+        found = f"one is running {daemon.place}, and the other is waiting {daemon.rival}"
+        fix = "stop one of the two daemons, or give its sensor another sensor_id"
+        return warning("daemon", f"two daemons are using {sensor_id}: {found}", fix)
     if daemon.alive and process is None:
         fix = "stop the other daemon, or give this sensor another sensor_id"
         return warning("daemon", f"no daemon is running here, yet {sensor_id} is {daemon.state} on this broker", fix)

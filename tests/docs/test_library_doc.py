@@ -60,19 +60,6 @@ def executed(code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatc
     return names
 
 
-def test_every_example_is_one_of_these() -> None:
-    assert list(EXAMPLES) == [
-        "An image to a picture",
-        "A camera",
-        "A running sensor",
-        "A recording",
-        "A hand",
-        "Messages and files, decoded",
-    ]
-    assert TEXT.count("```python") == len(EXAMPLES)
-    assert len(EXAMPLES["An image to a picture"].split("\n\n")[1].splitlines()) + 2 <= 10
-
-
 def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run("An image to a picture", made, monkeypatch)
     assert re.fullmatch(r"1 objects, deepest [12]\.\d\d mm\n", capsys.readouterr().out)

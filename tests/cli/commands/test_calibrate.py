@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, presses, simulated, unloaded
+from support.calibrated_sensor import calibrated, pressed, simulated, unloaded
 from support.fitted import fitted_with
 from support.sensor_files import write_files
 
@@ -20,11 +20,11 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator.objects import OBJECTS, Shape, ridge
+from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
-from tacshade_edge.types import F64, Calibration, Frame, Need
+from tacshade_edge.types import Calibration, Frame, Need
 
 pytestmark = pytest.mark.slow
 LABELLED = 60
@@ -165,39 +165,25 @@ def test_bad_input_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.
 
 
 def test_named_indenters(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Half of the presses by a flat end and a tilted square, in a spreadsheet's table."""
-    folder, shapes = Path(words[3]).parent, {"flat": pillar(4.0), "square": ridge(8.0, 6.0)}
-    rows = ["force;image;indenter;radius_mm;depth_mm;x_mm;y_mm;yaw_deg;tilt_x_deg"]
-    for k, press in enumerate(presses()[:12]):
-        name = ("ball", "flat", "square")[k % 3]
-        image, radius, turn = folder / f"press{k}.png", str(press.radius_mm), (0.0, 0.0)
-        if name != "ball":
-            turn, radius = (20.0, 5.0) if name == "square" else (0.0, 0.0), ""
-            at = Press(shapes[name], press.x_mm or 0, press.y_mm or 0, press.depth_mm, turn[0], 1.0, turn[1])
-            image = tmp_path / f"{k}.png"
-            cv2.imwrite(str(image), simulated().frame((at,), 500 + k).image)
-        numbers = ";".join(map(str, (radius, press.depth_mm, press.x_mm, press.y_mm, *turn))).replace(".", ",")
-        rows.append(f"3;{image};{name};{numbers}")
-    table, indenters = tmp_path / "PRESSES.csv", tmp_path / "INDENTERS.yaml"
-    table.write_bytes("\r\n".join(rows).encode("utf-16"))
-    indenters.write_text("flat: {shape: cylinder, radius_mm: 4}\nsquare: {shape: box, length_mm: 8, width_mm: 6}\n")
+    """In a spreadsheet's table; other shapes are in tests/core/calibration/test_indenters.py."""
+    header, *rows = rows_of(words)
+    names = {row[2]: f"ball-{k}" for k, row in enumerate(rows[:12])}
+    indenters = [f"{name}: {{shape: ball, radius_mm: {radius}}}\n" for radius, name in names.items()]
+    (tmp_path / "INDENTERS.yaml").write_text("".join(indenters))
+    lines = [";".join(["force", *header])]
+    for image, _, radius, *numbers in rows[:12]:
+        cells = ["3", str(Path(words[3]).parent / image), names[radius], "", *(n.replace(".", ",") for n in numbers)]
+        lines.append(";".join(cells))
+    table = tmp_path / "PRESSES.csv"
+    table.write_bytes("\r\n".join(lines).encode("utf-16"))
     command = ["calibrate", *words[:2], "--presses", str(table), *words[4:], "--out", str(tmp_path / "cal.npz")]
-    assert "PRESSES.csv:3: indenter: found 'flat', expected ball" in refused(command, capsys)
-    assert main([*command, "--indenters", str(indenters)]) == 0
+    assert main(command) == 78
+    assert "PRESSES.csv:2: indenter: found 'ball-" in capsys.readouterr().err
+    assert main([*command, "--indenters", str(tmp_path / "INDENTERS.yaml")]) == 0
     assert capsys.readouterr().err == f"warning: {table}: ignoring unknown columns: force\n"
     fit = calibration_file.load(tmp_path / "cal.npz").fit
     assert fit is not None
-    assert fit.presses == fit.profiles["accurate"].presses == 12
-
-
-def pillar(radius_mm: float) -> Shape:
-    """A flat end."""
-
-    def sdf(p: F64) -> F64:
-        side, foot = np.hypot(p[:, 0], p[:, 1]) - radius_mm, -p[:, 2]
-        return np.minimum(np.maximum(side, foot), 0) + np.hypot(np.maximum(side, 0), np.maximum(foot, 0))
-
-    return Shape("pillar", sdf)
+    assert fit.presses == 12
 
 
 def test_rezero_keeps_all_but_the_reference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
