@@ -168,7 +168,8 @@ class Session:
         except ConfigError as error:
             self._terminal.say(f"cannot use this folder's references: {error}")
             return None
-        self._terminal.say(f"this folder already has {len(images)} references and {len(self._taken)} presses")
+        presses = "1 press" if len(self._taken) == 1 else f"{len(self._taken)} presses"
+        self._terminal.say(f"this folder already has {len(images)} references and {presses}")
         return unloaded
 
     def _take_references(self) -> Calibration:

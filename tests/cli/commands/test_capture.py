@@ -71,7 +71,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.process.terminate()
         one.ends()
     with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
-        one.hears("this folder already has 10 references and 1 presses")
+        one.hears("this folder already has 10 references and 1 press\r\n")
         one.hears("press 2, 1 planned presses left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
         one.types("skip")
         one.hears("all planned presses are taken")
@@ -122,7 +122,7 @@ def test_kill_9_loses_only_the_press_under_way(tmp_path: Path, config: Path, pre
     taken = 0
     for more in (0, 3):
         with person(*words) as one:
-            one.hears(f"this folder already has 10 references and {taken} presses")
+            one.hears(f"this folder already has 10 references and {taken} press")
             one.hears("planned presses left")
             one.types("")
             one.hears(f"press_{taken + 1:03d}.png: ball")
