@@ -13,9 +13,11 @@ import pytest
 
 from tacshade_edge.cli.shared.logs import AT_ONCE, PERIOD_S, Limit, OneLineHandler
 
+Written = tuple[logging.Logger, OneLineHandler, io.StringIO]
+
 
 @pytest.fixture
-def written() -> Iterator[tuple[logging.Logger, OneLineHandler, io.StringIO]]:
+def written() -> Iterator[Written]:
     logger, handler, stream = logging.Logger("test"), OneLineHandler(), io.StringIO()
     handler.setStream(stream)
     logger.addHandler(handler)
@@ -23,9 +25,7 @@ def written() -> Iterator[tuple[logging.Logger, OneLineHandler, io.StringIO]]:
     handler.close()
 
 
-def test_text_from_outside_cannot_forge_a_line(
-    written: tuple[logging.Logger, OneLineHandler, io.StringIO],
-) -> None:
+def test_text_from_outside_cannot_forge_a_line_or_make_a_long_one(written: Written) -> None:
     logger, _, stream = written
     logger.info("req/%s refused", "a\nWARNING root: all is lost\x1b[2J\u2028\u202e")
     try:
@@ -39,15 +39,11 @@ def test_text_from_outside_cannot_forge_a_line(
     ]
     assert all(line.startswith("    ") for line in lines[2:])
     assert all(line.isprintable() for line in lines)
-
-
-def test_a_line_has_a_most_of_characters(written: tuple[logging.Logger, OneLineHandler, io.StringIO]) -> None:
-    logger, _, stream = written
     logger.info("%s", "x" * 10**6)
-    assert len(stream.getvalue()) < 1100
+    assert len(stream.getvalue().splitlines()[-1]) < 1100
 
 
-def test_a_flood_is_counted_and_hides_nothing(written: tuple[logging.Logger, OneLineHandler, io.StringIO]) -> None:
+def test_a_flood_is_counted_and_hides_nothing(written: Written) -> None:
     logger, handler, stream = written
     for number in range(15_000):
         logger.info("req/%s refused: %d", "profile", number)
@@ -58,17 +54,9 @@ def test_a_flood_is_counted_and_hides_nothing(written: tuple[logging.Logger, One
     assert stream.getvalue().splitlines()[-1] == told
 
 
-def test_a_fault_is_not_hidden_by_another_of_the_same_format(
-    written: tuple[logging.Logger, OneLineHandler, io.StringIO],
-) -> None:
+def test_a_fault_is_not_hidden_by_another_of_the_same_format(written: Written) -> None:
     logger, handler, stream = written
-    faults = [
-        "/dev/video0: unplugged",
-        "/dev/video2: unplugged",
-        "disk full",
-        "cannot reach 10.0.0.1",
-        "cannot reach 10.0.0.2",
-    ]
+    faults = ["/dev/video0: unplugged", "/dev/video2: unplugged", "disk full", "no 10.0.0.1", "no 10.0.0.2"]
     for fault in faults:
         for _ in range(20):
             logger.warning("%s", fault)
@@ -123,13 +111,10 @@ def logged(*words: str, journal: bool = False) -> list[str]:
         return stream.read().splitlines()
 
 
-def test_the_journal_gets_no_second_time_stamp() -> None:
+def test_the_journal_gets_no_second_time_stamp_and_a_word_more_or_less() -> None:
     assert logged(journal=True) == ["INFO test: said", "WARNING test: said"]
     stamp = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d"
     for line, said in zip(logged(), ("INFO test: said", "WARNING test: said"), strict=True):
         assert re.fullmatch(f"{stamp} {said}", line)
-
-
-def test_more_and_less_is_logged() -> None:
     assert [line.split()[0] for line in logged("-v", journal=True)] == ["DEBUG", "INFO", "WARNING"]
     assert [line.split()[0] for line in logged("-q", journal=True)] == ["WARNING"]
