@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.hand.bodies import lathed
-from tacshade_edge.simulator.hand.held import Finger, Placement, follow
-from tacshade_edge.simulator.hand.script import HandScript
+from tacshade_edge.simulator.hand import Finger, HandScript, Placement, follow, lathed
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.parallel import workers

@@ -1,7 +1,7 @@
 """Parts of the simulator, compiled: a twin needs thousands of skins and pictures.
 
-The membrane (`simulator.membrane.solve`), what pixels see (`simulator.truth.skin_points`), and how material points move
-(`simulator.render.carried`, `simulator.truth.shear_mm`).
+The membrane (`simulator.relaxation.solve`), what pixels see (`simulator.truth.skin_points`), and how material points
+move (`simulator.render.carried`, `simulator.truth.shear_mm`).
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.fitting.identify import Found, TwinRenderer, WhiteMap, print_of
 from tacshade_edge.fitting.skins import Unevenness, uneven_skin
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.skin import undeformed
 from tacshade_edge.types import F32, Calibration
 

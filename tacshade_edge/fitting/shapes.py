@@ -1,4 +1,4 @@
-"""Random objects for training: none of `simulator.objects`, but many objects like them and many others.
+"""Random objects for training: none of `simulator.press`, but many objects like them and many others.
 
 Outside an object, distances are exact or too small but never too large, as the simulator requires.
 """
@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tacshade_edge.simulator.objects import Sdf, Shape
+from tacshade_edge.simulator.press import Sdf, Shape
 from tacshade_edge.types import F64
 
 Outline = Callable[[F64, F64], F64]

@@ -13,11 +13,10 @@ import numpy as np
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.fitting import compiled
 from tacshade_edge.fitting.shapes import random_shape
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.drag import Mechanics, drag_skin
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import Shape
-from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.press import Press, Shape, distance_mm
 from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM
 from tacshade_edge.simulator.two_scales import two_scale_skin
@@ -178,7 +177,7 @@ def random_skin(
 def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
     """Add nuisances that the daemon tolerates: other light, an aged LED, a shift by a pixel, noise, glare, dust."""
     if rng.random() < 0.6:
-        image = nuisance.gain(image, float(rng.uniform(0.8, 1.2)))
+        image = camera_faults.gain(image, float(rng.uniform(0.8, 1.2)))
     if rng.random() < 0.2:
         loss, angle = float(rng.uniform(0, 0.3)), float(rng.uniform(0, 360))
         image = camera_faults.uneven(image, disc.row_c, disc.col_c, disc.radius_px, loss, angle)
@@ -188,7 +187,7 @@ def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
             row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
             image = camera_faults.speck(image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05)))
     if rng.random() < 0.3:
-        image = nuisance.shift(image, int(rng.integers(-1, 2)), int(rng.integers(-1, 2)))
+        image = camera_faults.shift(image, int(rng.integers(-1, 2)), int(rng.integers(-1, 2)))
     if rng.random() < 0.2:
         image = camera_faults.noise(image, float(rng.uniform(1, 7)), int(rng.integers(1 << 30)))
     if rng.random() < 0.15:

@@ -40,7 +40,7 @@ def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220
     return np.asarray(np.clip(image + spot + 0.5, 0, 255), np.uint8)
 
 
-def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.0) -> U8:
+def speck(image: U8, row: float, col: float, radius_px: float) -> U8:
     """Add a dark spot with a soft edge, like a grain of dust on the camera or a missing marker."""
     reach = math.ceil(radius_px) + 2
     top, left = max(int(row) - reach, 0), max(int(col) - reach, 0)
@@ -50,7 +50,7 @@ def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.
     cover = np.clip(radius_px + 0.5 - np.hypot(rows - row, cols - col), 0, 1)
     if image.ndim == 3:
         cover = cover[..., None]
-    part[...] = np.clip(part * (1 - cover) + grey * cover + 0.5, 0, 255)
+    part[...] = np.clip(part * (1 - cover) + 20 * cover + 0.5, 0, 255)
     return made
 
 
@@ -70,3 +70,16 @@ def noise(image: U8, sigma_grey: float, seed: int) -> U8:
     """Add independent Gaussian noise to every value."""
     draw = np.random.default_rng((seed, 5)).standard_normal(image.shape, np.float32)
     return np.asarray(np.clip(image + sigma_grey * draw + 0.5, 0, 255), np.uint8)
+
+
+def gain(image: U8, factor: float) -> U8:
+    """Multiply the light by a factor (0.9: 10 % dimmer); clips at 255."""
+    return np.asarray(np.clip(image.astype(np.float32) * factor + 0.5, 0, 255), np.uint8)
+
+
+def shift(image: U8, rows: int, cols: int) -> U8:
+    """Move the image by whole pixels, repeating its border."""
+    height, width = image.shape[:2]
+    i = np.clip(np.arange(height) - rows, 0, height - 1)
+    j = np.clip(np.arange(width) - cols, 0, width - 1)
+    return np.asarray(image[i][:, j], np.uint8)

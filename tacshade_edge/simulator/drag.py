@@ -24,10 +24,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.friction import finer, slid
 from tacshade_edge.simulator.load import Load, summed
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, distances_mm
+from tacshade_edge.simulator.relaxation import finer, slid
 from tacshade_edge.simulator.skin import (
     Skin,
     chart_to_direction,

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from tacshade_edge.rigid import Rigid, from_seven, shift, turn
-from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.press import Shape
 from tacshade_edge.types import F32, F64
 
 BULGE_HEIGHT_MM = 1.5

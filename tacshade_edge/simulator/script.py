@@ -1,15 +1,17 @@
-"""The scripted hand: presses in turn, as a function of the frame index."""
+"""Scripted presses: the demo's hand, as a function of the frame index, and the ball presses that calibrate a sensor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+import numpy as np
+
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.press import OBJECTS, Press, ball
 
 _DRAG_STEPS = 3  # drawing a new position takes as long as several frames, a held one costs nothing
+_GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +88,34 @@ def _moved(press: Press, drag: Drag, part: float) -> Press:
     )
 
 
-def demonstration(depth_mm: float = 3.0, objects: Sequence[str] = ()) -> Script:
-    """The script of the demo: the named objects (by default all), each shifted and turned a little. Of every five, one
+def demonstration() -> Script:
+    """The script of the demo: all objects, each shifted and turned a little. Of every five, one
     is dragged, one so far that it slips fully, and one is dragged and twisted.
     """
     places = ((0.0, 0.0), (3.0, -2.0), (-4.0, 1.0), (1.0, 4.0), (-2.0, -3.0))
     drags = (Drag(), Drag(-2.5, 0.5), Drag(), Drag(-5.0, -4.0), Drag(2.0, 1.0, 10.0))
-    names = tuple(objects) or tuple(OBJECTS)
     presses = tuple(
-        Press(OBJECTS[name](), *places[k % len(places)], depth_mm, 25.0 * k % 360) for k, name in enumerate(names)
+        Press(make(), *places[k % len(places)], 3.0, 25.0 * k % 360) for k, make in enumerate(OBJECTS.values())
     )
     return Script(presses, drags=drags)
+
+
+def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Press, float]]:
+    """Draw ball presses and the radius of each ball in mm: places on a sunflower over the inner two thirds of the
+    visible disc; radii (3 to 9 mm) and depths (0.5 to 4 mm) stratified, then shuffled, so that any subset covers their
+    ranges. All lengths are for a skin of 20 mm and scale with its radius.
+    """
+    rng = np.random.default_rng((seed, 4))
+    scale = model.skin_radius_mm / 20
+    reach = 0.66 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
+
+    def stratified(low: float, high: float) -> list[float]:
+        cells = (rng.permutation(count) + rng.uniform(0, 1, count)) / max(count, 1)
+        return [round(float(low + (high - low) * c) * scale, 3) for c in cells]
+
+    presses = []
+    for k, (radius, depth) in enumerate(zip(stratified(3.0, 9.0), stratified(0.5, 4.0), strict=True)):
+        rho, angle = reach * math.sqrt((k + 0.5) / count), k * _GOLDEN_ANGLE
+        x, y = round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3)
+        presses.append((Press(ball(radius), x, y, depth), radius))
+    return presses

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.simulator.load import Load
-from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.relaxation import solve
 from tacshade_edge.types import F32, F64
 
 GRID_STEPS_PER_RADIUS = 80

@@ -28,10 +28,9 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
 from tacshade_edge.studies.evaluate.work import scenes
@@ -69,11 +68,11 @@ def harmless(model: SensorModel) -> dict[str, U8]:
     }
     return glare | {
         "no contact": good,
-        "dimmed": nuisance.gain(good, 0.9),
-        "brightened": nuisance.gain(good, 1.1),
+        "dimmed": camera_faults.gain(good, 0.9),
+        "brightened": camera_faults.gain(good, 1.1),
         "noise": camera_faults.noise(good, 5, 1),
-        "shifted down": nuisance.shift(good, 1, 0),
-        "shifted left": nuisance.shift(good, 0, -1),
+        "shifted down": camera_faults.shift(good, 1, 0),
+        "shifted left": camera_faults.shift(good, 0, -1),
     }
 
 
@@ -82,7 +81,7 @@ def unusable(model: SensorModel) -> dict[str, U8]:
     return {
         "black": good * 0,
         "white": good * 0 + 255,
-        "saturated": nuisance.gain(good, 6),
+        "saturated": camera_faults.gain(good, 6),
         "noisy": camera_faults.noise(good, 30, 1),
         "torn": camera_faults.torn(good, good * 0, model.image_height_px // 2),
         "another size": good[:-3],

@@ -27,7 +27,7 @@ from tacshade_edge.daemon.references import (
 )
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Need
 
@@ -265,7 +265,7 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
     assert (resting.health["state"], resting.health["looks"], resting.health["renewals"]) == ("following", 2, 0)
     assert resting.references.calibration is calibration
     for gain in (0.95, 0.9, 0.85):
-        assert resting.look(nuisance.gain(pictures.free, gain))
+        assert resting.look(camera_faults.gain(pictures.free, gain))
     assert resting.references.calibration.crc32 not in (0, calibration.crc32)
     assert resting.health["renewals"] == 3
     assert resting.health["light"] == pytest.approx(0.85, abs=0.02)
@@ -274,8 +274,8 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
     assert info["bounds"] == bounds(calibration.geometry.disc)
     # The next is beyond: it stays where it was, says so once, and goes on when the light is back.
     followed = resting.references.calibration
-    assert resting.look(nuisance.gain(pictures.free, 0.7))
-    assert not resting.look(nuisance.gain(pictures.free, 0.69))
+    assert resting.look(camera_faults.gain(pictures.free, 0.7))
+    assert not resting.look(camera_faults.gain(pictures.free, 0.69))
     info = resting.references.info()
     assert (info["state"], info["stopped_code"]) == ("stopped", "light_drift")
     assert "0.69 times the light" in info["stopped"]
@@ -293,7 +293,7 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
 
 @pytest.mark.slow
 def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures: Any) -> None:
-    darker = nuisance.gain(pictures.free, 0.9)
+    darker = camera_faults.gain(pictures.free, 0.9)
     assert resting.look(darker, held=True)
     assert not resting.look(darker, held=True)
     assert resting.references.info()["calibration_crc32"] == resting.references.calibration.crc32
@@ -320,11 +320,11 @@ def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibratio
 def test_a_request_is_a_new_beginning_that_outlives_a_restart(
     resting: Resting, calibration: Calibration, pictures: Any, tmp_path: Path
 ) -> None:
-    darker = nuisance.gain(pictures.free, 0.7)
+    darker = camera_faults.gain(pictures.free, 0.7)
     taken = resting.references.take([darker] * 10)
     assert (taken.frames, taken.unstored) == (10, None)
     assert taken.calibration_crc32 == resting.references.calibration.crc32 != calibration.crc32
-    assert resting.look(nuisance.gain(pictures.free, 0.6))  # 0.86 of the beginning's
+    assert resting.look(camera_faults.gain(pictures.free, 0.6))  # 0.86 of the beginning's
     assert resting.health["state"] == "following"
     resting.references.stop()
     again = References(calibration, tmp_path / "c.reference.npz", "left")
@@ -344,7 +344,7 @@ def test_the_stored_reference_has_one_owner(
     assert "c.reference.npz: in use by 'sensor left, process" in caplog.text
     assert (other.info() or {})["reason_code"] == "in_use"
     assert other.calibration.crc32 == taken.calibration_crc32, "it may be read"
-    unstored = other.take([nuisance.gain(pictures.free, 0.7)] * 10).unstored
+    unstored = other.take([camera_faults.gain(pictures.free, 0.7)] * 10).unstored
     assert unstored is not None
     assert unstored.code is ReasonCode.IN_USE
     assert "this reference lasts only until the next start or reload" in unstored.text

@@ -14,7 +14,7 @@ from support.fitted import fitted_with
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.doctor.calibration import check_images, load
 from tacshade_edge.settings import load as load_settings
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import U8
 from tools.testbed.painted_sensor import painted_calibration
@@ -47,7 +47,7 @@ def torn() -> U8:
 
 CASES: dict[str, tuple[Callable[[], Sequence[U8]], str, str]] = {
     "as calibrated": (free, "ok", ""),
-    "aged": (lambda: [nuisance.gain(image, 0.7) for image in free()], "warning", "--rezero"),
+    "aged": (lambda: [camera_faults.gain(image, 0.7) for image in free()], "warning", "--rezero"),
     "pressed": (lambda: [pressed("ball", 3.0).image], "warning", "nothing is touching the skin"),
     "shaking": (lambda: [np.roll(image, k % 2, axis=1) for k, image in enumerate(free(6))], "warning", "shaking"),
     "glare": (lambda: [glaring()], "warning", "shade it"),

@@ -5,11 +5,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from tacshade_edge.simulator import membrane, truth
+from tacshade_edge.simulator import relaxation, truth
 from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.render import carried
 from tacshade_edge.simulator.skin import Skin, press_skin
 
@@ -44,4 +43,4 @@ def test_compiled_parts_agree_with_the_simulator(dragged: Skin) -> None:
     np.testing.assert_allclose(compiled.shear_mm(dragged, points, 0.9), shear, atol=6e-3)
     obstacle = rng.uniform(-1, 1, (60, 60)).clip(0).astype(np.float32)
     mass = np.full((60, 60), 0.02, np.float32)
-    np.testing.assert_allclose(compiled.solve(obstacle, mass), membrane.solve(obstacle, mass), atol=5e-3)
+    np.testing.assert_allclose(compiled.solve(obstacle, mass), relaxation.solve(obstacle, mass), atol=5e-3)

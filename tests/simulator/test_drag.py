@@ -7,11 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.simulator.drag import drag_skin, leant_mm
-from tacshade_edge.simulator.friction import slid
-from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press, ball
+from tacshade_edge.simulator.relaxation import slid, solve
 from tacshade_edge.simulator.render import carried
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin

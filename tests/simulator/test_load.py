@@ -9,8 +9,7 @@ from tacshade_edge.rigid import turn
 from tacshade_edge.simulator.drag import loads_of
 from tacshade_edge.simulator.load import summed
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.scene import skin_under
 
 MODEL = SensorModel(sway=0.0)

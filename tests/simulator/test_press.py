@@ -2,11 +2,81 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press, distance_mm, distances_mm
+from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, ball, bars, distance_mm, distances_mm, ridge
 
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform((-12, -12, -6), (12, 12, 14), (4000, 3))
 R_MM = 20.0
+
+
+def test_the_papers_five_come_first() -> None:
+    assert tuple(OBJECTS)[:5] == PAPER_OBJECTS
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_distance_never_overestimates(name: str) -> None:
+    # A signed distance changes by no more than the way gone.
+    sdf = OBJECTS[name]().sdf
+    step = RNG.normal(0, 1, POINTS.shape)
+    change = np.abs(sdf(POINTS + step) - sdf(POINTS))
+    assert np.all(change <= np.linalg.norm(step, axis=1) + 1e-9)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_lowest_point_has_z_zero(name: str) -> None:
+    sdf = OBJECTS[name]().sdf
+    x, y = np.meshgrid(np.linspace(-10, 10, 201), np.linspace(-10, 10, 201))
+
+    def least(z: float) -> float:
+        return float(sdf(np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)).min())
+
+    assert least(-0.5) == pytest.approx(0.5, abs=0.02)
+    assert -0.1 < least(0.001) < 0.02
+    assert least(0.4) < -0.15
+
+
+def test_ball_is_exact() -> None:
+    points = np.array([(0.0, 0.0, -1.0), (0.0, 0.0, 6.0), (10.0, 0.0, 6.0)])
+    assert ball(6.0).sdf(points) == pytest.approx([1.0, -6.0, 4.0])
+
+
+def test_cube_is_ten_millimetres_wide() -> None:
+    points = np.array([(5.0, 0.0, 5.0), (0.0, -6.0, 5.0), (4.0, 0.0, 5.0)])
+    assert OBJECTS["cube"]().sdf(points) == pytest.approx([0.0, 1.0, -1.0])
+
+
+@given(st.floats(-180, 180), st.floats(0.5, 2))
+@settings(max_examples=20)
+def test_rotation_is_from_x_towards_y_and_scale_is_about_the_lowest_point(rotation: float, scale: float) -> None:
+    press = Press(OBJECTS["bar"](), 1.0, 2.0, 3.0, rotation, scale)
+    a = np.radians(rotation)
+    reach = (7.0 + 2.0) * scale  # the end of the bar
+    end = np.array([(1 + reach * np.cos(a), 2 + reach * np.sin(a), press.lowest_z_mm(20.0) + 2.0 * scale)])
+    assert distance_mm([press], 20.0, end)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("change", [{"x_mm": float("nan")}, {"depth_mm": float("inf")}, {"scale": 0.0}])
+def test_a_press_that_is_not_a_number_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        Press(ball(), **change)
+
+
+def test_a_ball_without_radius_is_refused() -> None:
+    with pytest.raises(ValueError, match="radius_mm"):
+        ball(0.0)
+
+
+def test_bars_and_ridge_have_the_stated_width_and_gap() -> None:
+    x = np.linspace(-6, 6, 1201)
+    points = np.stack((x, 0 * x, 0 * x + 1.0), axis=1)
+    inside = bars(2.0, 3.0).sdf(points) < 0
+    np.testing.assert_allclose(np.abs(x[inside]).min(), 1.5, atol=0.011)
+    np.testing.assert_allclose(np.abs(x[inside]).max(), 3.5, atol=0.011)
+    inside = ridge(0.6).sdf(points) < 0
+    np.testing.assert_allclose(np.abs(x[inside]).max(), 0.3, atol=0.011)
 
 
 def test_a_press_that_is_no_number_is_refused_by_name() -> None:

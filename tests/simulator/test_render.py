@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.simulator.model import SensorModel, tactip
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.prints import print_features
 from tacshade_edge.simulator.render import Renderer, _on_skin, carried, project
 from tacshade_edge.simulator.scene import SimulatedSensor

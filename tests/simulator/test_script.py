@@ -1,11 +1,13 @@
+import math
+
 import numpy as np
 import pytest
 
 from tacshade_edge.simulator.drag import SLIDES
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.script import Drag, Script, demonstration
+from tacshade_edge.simulator.script import Drag, Script, ball_presses, demonstration
 
 
 def test_a_turn_is_pause_approach_hold_release() -> None:
@@ -43,14 +45,6 @@ def test_the_demonstration_drags_twists_and_slips() -> None:
     assert last[4].twist_deg == 10.0
 
 
-def test_presses_come_in_turn() -> None:
-    script = demonstration(2.0, ("cube", "ring"))
-    names = [script.at(k)[0].shape.name for k in range(script.period) if script.at(k)]
-    assert names[0] == "cube"
-    assert names[-1] == "ring"
-    assert max(p.depth_mm for k in range(script.period) for p in script.at(k)) == 2.0
-
-
 def test_the_demonstration_shows_every_object() -> None:
     assert [p.shape.name for p in demonstration().presses] == list(OBJECTS)
 
@@ -59,3 +53,25 @@ def test_the_demonstration_shows_every_object() -> None:
 def test_an_empty_script_is_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="script needs"):
         Script(**({"presses": (Press(ball()),)} | change))
+
+
+def test_presses_cover_radii_depths_and_the_disc() -> None:
+    drawn = ball_presses(SensorModel(), 40)
+    radii, depths = [r for _, r in drawn], [p.depth_mm for p, _ in drawn]
+    assert 3.0 <= min(radii) < 3.3 < 8.7 < max(radii) <= 9.0
+    assert 0.5 <= min(depths) < 0.7 < 3.8 < max(depths) <= 4.0
+    places = np.array([(p.x_mm, p.y_mm) for p, _ in drawn])
+    away = np.linalg.norm(places, axis=1)
+    assert away.max() < 20.0 * math.sin(math.radians(50.0))
+    for sign_x in (-1, 1):
+        for sign_y in (-1, 1):
+            assert np.sum((places[:, 0] * sign_x > 0) & (places[:, 1] * sign_y > 0)) >= 8
+
+
+def test_presses_are_repeatable_and_fit_every_skin() -> None:
+    for seed in range(5):
+        model = random_model(seed)
+        one, same = ball_presses(model, 10, seed), ball_presses(model, 10, seed)
+        assert [(r, p.depth_mm, p.x_mm) for p, r in one] == [(r, p.depth_mm, p.x_mm) for p, r in same]
+        assert all(p.lowest_z_mm(model.skin_radius_mm) > 0 for p, _ in one)
+    assert ball_presses(SensorModel(), 0) == []

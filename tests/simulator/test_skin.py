@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
-from tacshade_edge.simulator.objects import OBJECTS, Shape, ball
-from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.press import OBJECTS, Press, Shape, ball, distance_mm
 from tacshade_edge.simulator.skin import (
     Skin,
     chart_to_direction,

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.press import OBJECTS, Press, ball, distance_mm
 from tacshade_edge.simulator.scene import SimulatedSensor
 
 

@@ -15,7 +15,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
 
@@ -50,7 +50,7 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
     for seed, image in enumerate(untouched(name)):
         changed = (
             ("noise of 4 levels", camera_faults.noise(image, 4, seed)),
-            ("light", nuisance.gain(image, 0.85 + 0.3 * seed / FRAMES[name])),
+            ("light", camera_faults.gain(image, 0.85 + 0.3 * seed / FRAMES[name])),
             ("fading light", shaded(model, image, 0.3)),
         )[seed % 3]
         for kind, frame in (("its own noise", image), changed):

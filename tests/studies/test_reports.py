@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from tacshade_edge.simulator.objects import PAPER_OBJECTS
+from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate import labelled
 from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements
 from tacshade_edge.studies.evaluate.report import (

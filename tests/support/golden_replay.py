@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,9 @@ from tacshade_edge.storage.calibration import calibration_file
 GOLDEN = Path(__file__).parents[1] / "golden" / "replay.json"
 FRAMES = 200
 SEED = 5000  # none of the calibration's images has one of these
-SCRIPT = Script(demonstration(2.5).presses, approach=5, hold=6, release=5, pause=4)
+SCRIPT = Script(
+    tuple(replace(press, depth_mm=2.5) for press in demonstration().presses), approach=5, hold=6, release=5, pause=4
+)
 
 
 def write_input(folder: Path, frames: int = FRAMES) -> list[str]:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.hand.held import Finger
+from tacshade_edge.simulator.hand import Finger
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor
 

@@ -24,8 +24,7 @@ import numpy as np
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
 from tacshade_edge.studies.stage_times import stages_ms
 from tacshade_edge.studies.tables import markdown

@@ -38,8 +38,7 @@ FREE, PRESSED = 0, 3
 def write(folder: Path) -> None:
     """Write simulated images; only on this machine, as the other one would need minutes."""
     from tacshade_edge.core.image.greyscale import to_grey
-    from tacshade_edge.simulator.objects import OBJECTS
-    from tacshade_edge.simulator.press import Press
+    from tacshade_edge.simulator.press import OBJECTS, Press
     from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 
     name = SensorName.parse("default")

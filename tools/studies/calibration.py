@@ -39,12 +39,11 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator import camera_faults, nuisance
-from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
 from tools.studies import command
@@ -209,8 +208,8 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
             answer(lambda views=views: given.calibrate(views, [])),
         )
     for label, change in {
-        "light x 0.75": lambda image: nuisance.gain(image, 0.75),
-        "light x 0.9 (compensated)": lambda image: nuisance.gain(image, 0.9),
+        "light x 0.75": lambda image: camera_faults.gain(image, 0.75),
+        "light x 0.9 (compensated)": lambda image: camera_faults.gain(image, 0.9),
         "one side 40 % darker": lambda image: uneven(image, 0.4),
         "blurred by 1.5 px": lambda image: camera_faults.defocus(image, 1.5),
     }.items():
@@ -243,10 +242,10 @@ def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, s
 
     free = [to_grey(given.simulated.frame((), 3000 + k).image) for k in range(5)]
     yield "rezero: untouched", "taken", said(free)
-    yield "rezero: light x 0.7", "taken", said([nuisance.gain(image, 0.7) for image in free])
+    yield "rezero: light x 0.7", "taken", said([camera_faults.gain(image, 0.7) for image in free])
     yield "rezero: 2 px away", "taken", said([shifted(image, 2) for image in free])
     yield "rezero: 6 px away", "refused", said([shifted(image, 6) for image in free])
-    yield "rezero: light x 0.4", "refused", said([nuisance.gain(image, 0.4) for image in free])
+    yield "rezero: light x 0.4", "refused", said([camera_faults.gain(image, 0.4) for image in free])
     yield "rezero: blurred by 3 px", "refused", said([camera_faults.defocus(image, 3) for image in free])
     for depth in (1.0, 2.0, 3.0):
         yield f"rezero: under {depth} mm", "refused", said([given.loaded(depth, 3, 2, 5)] * 3)

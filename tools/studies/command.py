@@ -13,7 +13,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors
 from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text

@@ -18,8 +18,7 @@ import numpy as np
 
 from tacshade_edge.core.contact.objects import about_mean, rigid_motions
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score

@@ -40,8 +40,7 @@ from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.fitting.fit import fit
 from tacshade_edge.inference.network import load_networks, make_reconstructor
-from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, Shape, ball, ridge
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName

@@ -29,8 +29,7 @@ from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.refinement import thin_points
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator import pad as pads
-from tacshade_edge.simulator.objects import Shape
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, Shape
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.sensors import calibrated, reconstructor
 from tacshade_edge.studies.tables import markdown

@@ -18,10 +18,9 @@ import numpy as np
 
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS, ball, bars, ridge
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press, ball, bars, ridge
 from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.simulator.truth import skin_points
@@ -188,23 +187,25 @@ def _noisy(low: float, high: float) -> Change:
 
 CHANGES: dict[str, Change] = {
     UNDISTURBED: lambda image, model, rng: image,
-    "light within 20 %": lambda image, _, rng: nuisance.gain(image, float(rng.uniform(0.8, 1.2))),
+    "light within 20 %": lambda image, _, rng: camera_faults.gain(image, float(rng.uniform(0.8, 1.2))),
     "one side dims by 10 to 40 %": _aged,
     "glare spot": _glare,
     "warm-up": lambda image, m, rng: camera_faults.warm(image, m.row_c, m.col_c, float(rng.uniform(0, 1))),
-    "moved by 1 px": lambda image, _, rng: nuisance.shift(image, *((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]),
+    "moved by 1 px": lambda image, _, rng: camera_faults.shift(
+        image, *((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
+    ),
     "noise of 2 to 10 levels": _noisy(2, 10),
 }
 """Changes of an image, by name. Glare has a standard deviation of 2 to 20 px and 60 to 255 levels."""
 
 
 def _far_light(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.gain(image, float(rng.choice((0.3, 0.5, 0.7, 1.3, 1.5, 2.0, 3.0))))
+    return camera_faults.gain(image, float(rng.choice((0.3, 0.5, 0.7, 1.3, 1.5, 2.0, 3.0))))
 
 
 def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
     rows, cols = (int(rng.choice((-1, 1)) * rng.integers(2, 6)) for _ in range(2))
-    return nuisance.shift(image, rows, cols)
+    return camera_faults.shift(image, rows, cols)
 
 
 def _torn_row(model: SensorModel, rng: Rng) -> int:

@@ -21,8 +21,7 @@ import numpy as np
 from tacshade_edge.core.contact.tracking import ALARM, ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.drag import SLIDES
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin

@@ -33,10 +33,8 @@ from tacshade_edge.core.reconstruct import step_and_track
 from tacshade_edge.hand import patches_of
 from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.rigid import Rigid, turn, turned_rad
-from tacshade_edge.simulator.hand.bodies import box, cylinder, sphere
-from tacshade_edge.simulator.hand.held import Placement
-from tacshade_edge.simulator.hand.script import HandScript
-from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.hand import HandScript, Placement, box, cylinder, sphere
+from tacshade_edge.simulator.press import Shape
 from tacshade_edge.studies.evaluate.sensors import calibrated, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text, grouped, summary

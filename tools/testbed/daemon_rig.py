@@ -63,8 +63,7 @@ def draw_rings(folder: Path) -> None:
     ``contact.npy`` and ``free.npy`` have one channel, as a camera's frames have; ``colour.npy`` is the first as drawn.
     """
     # Here, since a daemon that imports this module draws nothing.
-    from tacshade_edge.simulator.objects import ball
-    from tacshade_edge.simulator.press import Press
+    from tacshade_edge.simulator.press import Press, ball
     from tacshade_edge.simulator.scene import SimulatedSensor
     from tacshade_edge.simulator.script import Script
 

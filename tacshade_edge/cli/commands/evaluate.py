@@ -17,7 +17,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels

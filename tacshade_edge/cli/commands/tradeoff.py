@@ -14,7 +14,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.simulator.objects import PAPER_OBJECTS
+from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.grid import Setting, grid

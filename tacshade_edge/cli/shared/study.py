@@ -13,7 +13,7 @@ from tacshade_edge.cli.shared.options import add_option, tell
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.factories import calibrations
-from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.studies.evaluate.own_images import images_in, read_images
 from tacshade_edge.studies.evaluate.sensors import SensorName

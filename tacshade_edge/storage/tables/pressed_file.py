@@ -6,8 +6,7 @@ from pathlib import Path
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import quoted
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.storage.tables.tables import number, read_rows
 
 HEADER = ("indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")

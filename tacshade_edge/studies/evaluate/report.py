@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.simulator.objects import PAPER_OBJECTS
+from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import family_of

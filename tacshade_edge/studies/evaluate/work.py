@@ -11,10 +11,9 @@ from itertools import chain
 import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import (
     NULL_NOISE,
@@ -76,10 +75,10 @@ def null_images(sensor: PressedSensor, count: int = NULL_FRAMES) -> list[tuple[s
     """
     changes: dict[str, Callable[[U8], U8]] = {
         "": lambda image: image,
-        "light x0.8": lambda image: nuisance.gain(image, 0.8),
-        "light x1.2": lambda image: nuisance.gain(image, 1.2),
-        "a row down": lambda image: nuisance.shift(image, 1, 0),
-        "a column right": lambda image: nuisance.shift(image, 0, 1),
+        "light x0.8": lambda image: camera_faults.gain(image, 0.8),
+        "light x1.2": lambda image: camera_faults.gain(image, 1.2),
+        "a row down": lambda image: camera_faults.shift(image, 1, 0),
+        "a column right": lambda image: camera_faults.shift(image, 0, 1),
     }
     kinds = [list(changes)[k % len(changes)] for k in range(count)]
     return [(what, changes[what](sensor.frame((), NULL_NOISE + k).image)) for k, what in enumerate(kinds)]

@@ -19,9 +19,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator import camera_faults
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.types import Calibration, Frame, Need
@@ -191,7 +190,7 @@ def test_rezero_keeps_all_but_the_reference(tmp_path: Path, capsys: pytest.Captu
     calibration_file.save(old, calibrated())
     for k in range(3):
         dim.append(str(tmp_path / f"dim{k}.png"))
-        cv2.imwrite(dim[-1], nuisance.gain(unloaded(noise_seed=70 + k), 0.7))
+        cv2.imwrite(dim[-1], camera_faults.gain(unloaded(noise_seed=70 + k), 0.7))
     assert main(["calibrate", "--rezero", str(old), "--reference", *dim, "--out", str(new), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["light"] == pytest.approx(0.7, abs=0.02)
@@ -208,7 +207,7 @@ def test_rezero_refuses_in_one_line(alone: list[str], tmp_path: Path, capsys: py
     old, out = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, calibrated())
     images = {
-        "the image moved by 5.0 px": nuisance.shift(unloaded(), 0, 5),
+        "the image moved by 5.0 px": camera_faults.shift(unloaded(), 0, 5),
         "seems pressed": pressed("cube", 3.0).image,
         "size: found 320x200 px": unloaded()[:200],
         "image.png: black": unloaded() * 0,

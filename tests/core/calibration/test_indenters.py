@@ -14,8 +14,7 @@ from tacshade_edge.core.calibration.indenters import Indenter, known_height, pla
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
-from tacshade_edge.simulator.objects import Shape
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, Shape
 from tacshade_edge.types import F64, Disc, Geometry
 
 R_MM = 20.0

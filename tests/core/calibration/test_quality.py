@@ -7,8 +7,8 @@ import pytest
 
 from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.calibration.quality import UNCALIBRATED, advice, assess, missing_coverage, widest_gap
-from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.types import Disc, Fit, Geometry, ProfileFit
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))

@@ -27,8 +27,7 @@ from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks, make_reconstructor
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.types import Disc, Frame, Geometry
 
 DISC = Disc(61.3, 83.9, 47.7)

@@ -10,7 +10,7 @@ from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check.blocks import ROUNDED, block_check, block_means, block_reasons
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
 
@@ -31,7 +31,7 @@ def test_a_good_frame_needs_no_second_look(model: SensorModel) -> None:
     calibration = calibrated(model, 0)
     check = block_check(calibration.reference_grey, calibration.geometry.disc)
     assert check
-    for image in (unloaded(model), pressed("ball", 3.0, model).image, nuisance.gain(unloaded(model), 0.8)):
+    for image in (unloaded(model), pressed("ball", 3.0, model).image, camera_faults.gain(unloaded(model), 0.8)):
         assert block_reasons(to_grey(image), check, ROUNDED) == (None, None)
 
 
@@ -40,6 +40,6 @@ def test_the_first_look_misses_nothing(factor: float, rows: int, sigma: float) -
     calibration = calibrated(HALF, 0)
     check = block_check(calibration.reference_grey, calibration.geometry.disc)
     assert check
-    image = camera_faults.noise(nuisance.shift(nuisance.gain(unloaded(HALF), factor), rows, 0), sigma, 1)
+    image = camera_faults.noise(camera_faults.shift(camera_faults.gain(unloaded(HALF), factor), rows, 0), sigma, 1)
     first, exact = (block_reasons(to_grey(image), check, rounded) for rounded in (ROUNDED, 0))
     assert all(coarse for coarse, said in zip(first, exact, strict=True) if said)

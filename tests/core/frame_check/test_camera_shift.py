@@ -9,7 +9,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import F32, U8, Frame
 
@@ -29,7 +29,7 @@ def check(model: SensorModel) -> CameraShift:
 
 @pytest.mark.parametrize(("model", "shift"), [(HALF, (0, 3)), (HALF, (-3, 3)), (FULL, (5, 0)), (FULL, (-4, -5))])
 def test_a_camera_that_moved_is_told_with_how_far(model: SensorModel, shift: tuple[int, int]) -> None:
-    image = nuisance.shift(unloaded(model), *shift)
+    image = camera_faults.shift(unloaded(model), *shift)
     reason = check(model).reason(cells(image, model))
     assert reason is not None
     assert reason.code is ReasonCode.CAMERA_SHIFT
@@ -41,7 +41,7 @@ def test_a_camera_that_moved_is_told_with_how_far(model: SensorModel, shift: tup
 @pytest.mark.parametrize("profile", PROFILES)
 def test_what_it_refuses_says_why_in_the_cameras_pixels(profile: str) -> None:
     made = make_reconstructor(calibrated(FULL, 0), PROFILES[profile])
-    result = made.step(Frame(0, 0, 0, nuisance.shift(unloaded(FULL), 4, 5)))
+    result = made.step(Frame(0, 0, 0, camera_faults.shift(unloaded(FULL), 4, 5)))
     assert not result.valid
     assert result.reason is not None
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
@@ -60,7 +60,7 @@ def test_a_contact_is_no_move(name: str, depth_mm: float) -> None:
 @pytest.mark.parametrize("shift", [(0, 0), (1, 0), (-1, 1)])
 def test_a_pixel_is_let_pass(shift: tuple[int, int]) -> None:
     for image in (unloaded(), pressed("ball", 1.0).image):
-        assert check(HALF).reason(cells(nuisance.shift(image, *shift), HALF)) is None
+        assert check(HALF).reason(cells(camera_faults.shift(image, *shift), HALF)) is None
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0])

@@ -18,7 +18,7 @@ from tacshade_edge.core.frame_check.registration import (
 )
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.types import U8, Disc
 
@@ -71,9 +71,11 @@ def test_light_and_focus(reference: Look) -> None:
     free, touched = to_grey(unloaded()), to_grey(pressed("ball", 2.5).image)
     for image in (free, touched):
         assert light_drift_reason(drift(reference, image)) is None
-        assert drift(reference, nuisance.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
-        assert text_of(light_drift_reason(drift(reference, nuisance.gain(image, 0.7)))).endswith(" times the light")
-        assert light_drift_reason(drift(reference, nuisance.gain(image, 0.9))) is None
+        assert drift(reference, camera_faults.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
+        assert text_of(light_drift_reason(drift(reference, camera_faults.gain(image, 0.7)))).endswith(
+            " times the light"
+        )
+        assert light_drift_reason(drift(reference, camera_faults.gain(image, 0.9))) is None
         assert "blurred or dirty" in text_of(light_drift_reason(drift(reference, camera_faults.defocus(image, 1.5))))
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
         assert "the light falls differently" in text_of(

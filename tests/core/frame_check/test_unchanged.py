@@ -11,10 +11,9 @@ from tacshade_edge.core.frame_check.validity import sensor_check
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.types import U8, Frame, Need, Reconstruction
 
 
@@ -72,7 +71,7 @@ def test_a_press_that_creeps_in_is_felt_as_early(profile: str) -> None:
 
 @pytest.mark.slow
 def test_light_that_fades_is_reported_as_early() -> None:
-    images = [nuisance.gain(unloaded(), 1 - 0.02 * k) for k in range(40)]
+    images = [camera_faults.gain(unloaded(), 1 - 0.02 * k) for k in range(40)]
     made = fresh("balanced")
     found = [said(made.step(Frame(k, k, k, image))) for k, image in enumerate(images)]
     assert found == each_by_itself(images, "balanced", HALF)

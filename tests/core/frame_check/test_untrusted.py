@@ -13,7 +13,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import F32, U8, Bool, Frame, Reconstruction
 
 ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
@@ -68,7 +68,7 @@ def test_a_skin_that_the_network_does_not_know_is_marked_not_refused() -> None:
 
 @pytest.mark.parametrize("logit", [2.0, 4.0])
 def test_a_moved_camera_explains_one(logit: float) -> None:
-    _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3), logit=logit)
+    _, result = judged(slice(0, 28), camera_faults.shift(unloaded(HALF), -3, 3), logit=logit)
     assert result.reason is not None
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
     assert float(result.reason.text.split()[5]) == pytest.approx(np.hypot(3, 3), abs=1.0)
@@ -76,7 +76,7 @@ def test_a_moved_camera_explains_one(logit: float) -> None:
 
 def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:
     nothing = np.zeros_like(TOUCHED)
-    _, result = judged(slice(0, 0), nuisance.shift(unloaded(HALF), -3, 3), nothing)
+    _, result = judged(slice(0, 0), camera_faults.shift(unloaded(HALF), -3, 3), nothing)
     assert result.reason is not None
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
     _, result = judged(slice(0, 0), pressed("ball", 3.0).image, nothing)

@@ -26,10 +26,9 @@ from tacshade_edge.core.frame_check.validity import FrameCheck, frame_check, inv
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.types import U8, Bool, Disc
@@ -56,8 +55,8 @@ def bad_frames(good: U8) -> dict[str, tuple[U8, str]]:
         "torn, black from three quarters": (camera_faults.torn(good, black, 3 * rows // 4), "torn"),
         "line sync lost": (camera_faults.torn(good, good, rows // 2, 40), "torn"),
         "noise": (camera_faults.noise(good, 30, 1), "noise"),
-        "a third of the light": (nuisance.gain(good, 0.3), "light"),
-        "three times the light": (nuisance.gain(good, 3), "light|saturated"),
+        "a third of the light": (camera_faults.gain(good, 0.3), "light"),
+        "three times the light": (camera_faults.gain(good, 3), "light|saturated"),
         "half the size": (good[::2, ::2], "size"),
         "transposed": (np.ascontiguousarray(np.swapaxes(good, 0, 1)), "size"),
     }
@@ -82,11 +81,11 @@ def test_an_unloaded_frame_is_good_also_with_a_nuisance(model: SensorModel) -> N
     good, check = unloaded(model), check_of(model)
     for image in (
         good,
-        nuisance.gain(good, 0.9),
-        nuisance.gain(good, 1.1),
+        camera_faults.gain(good, 0.9),
+        camera_faults.gain(good, 1.1),
         camera_faults.noise(good, 5, 1),
-        nuisance.shift(good, 1, 0),
-        nuisance.shift(good, 0, -1),
+        camera_faults.shift(good, 1, 0),
+        camera_faults.shift(good, 0, -1),
         camera_faults.glare(good, model.row_c, model.col_c, 15),
     ):
         assert invalid_reason(to_grey(image), check) is None
@@ -246,14 +245,14 @@ def assert_says(reason: str, kind: str, figure: float) -> None:
 ROWS, COLS = st.integers(0, 239), st.integers(-9, 9)
 DISTURBED = st.lists(
     st.one_of(
-        st.builds(lambda factor: lambda image: nuisance.gain(image, factor), st.floats(0.3, 2.4)),
+        st.builds(lambda factor: lambda image: camera_faults.gain(image, factor), st.floats(0.3, 2.4)),
         st.builds(lambda sigma, seed: lambda image: camera_faults.noise(image, sigma, seed), st.floats(0, 20), ROWS),
-        st.builds(lambda rows, cols: lambda image: nuisance.shift(image, rows, cols), COLS, COLS),
+        st.builds(lambda rows, cols: lambda image: camera_faults.shift(image, rows, cols), COLS, COLS),
         st.builds(lambda row, cols: lambda image: camera_faults.torn(image, image, row, cols), ROWS, COLS),
         st.builds(lambda row, level: lambda image: camera_faults.torn(image, image * 0 + level, row), ROWS, ROWS),
         st.builds(lambda sigma: lambda image: camera_faults.defocus(image, sigma), st.floats(0.5, 20)),
         st.builds(lambda row, col: lambda image: camera_faults.glare(image, row, col, 60, 250), ROWS, ROWS),
-        st.builds(lambda part: lambda image: nuisance.gain(image, part) + np.uint8(9), st.floats(0, 0.2)),
+        st.builds(lambda part: lambda image: camera_faults.gain(image, part) + np.uint8(9), st.floats(0, 0.2)),
     ),
     max_size=2,
 )
@@ -293,8 +292,8 @@ def test_the_fast_check_says_what_the_plain_one_says(touched: bool, changes: lis
 @example(size=(3, 18), disc=Disc(1, 9.5, 1), gain=0.375, sigma=1, seed=30)  # a deviation of 3.0 but for a rounding
 def test_the_same_of_tiny_images(size: tuple[int, int], disc: Disc, gain: float, sigma: float, seed: int) -> None:
     draw = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
-    reference = nuisance.gain(camera_faults.defocus(draw, 2), 1.2)
-    grey = camera_faults.noise(nuisance.gain(reference, gain), sigma, seed)
+    reference = camera_faults.gain(camera_faults.defocus(draw, 2), 1.2)
+    grey = camera_faults.noise(camera_faults.gain(reference, gain), sigma, seed)
     mask = disc_mask(*size, disc)
     check = frame_check(reference, mask, disc, unloaded=True)
     assume(not mask.any() or abs(grey[mask].std() - check.flat_std) > 1e-6)

@@ -34,7 +34,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import tactip
 from tacshade_edge.types import U8, Disc, Frame
 
@@ -110,7 +110,7 @@ def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> 
             image = pressed("ball", depth_mm * scale, model, x_mm=x_mm * scale).image
             still_mm = made.step(Frame(0, 0, 0, image)).depth_max_mm
             for by in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                found_mm = made.step(Frame(0, 0, 0, nuisance.shift(image, *by))).depth_max_mm
+                found_mm = made.step(Frame(0, 0, 0, camera_faults.shift(image, *by))).depth_max_mm
                 errors[model.skin_radius_mm, profile, depth_mm, by] = abs(found_mm / still_mm - 1)
     assert {case: error for case, error in errors.items() if error > 0.23} == {}
     assert np.mean(list(errors.values())) < 0.09

@@ -8,8 +8,7 @@ import pytest
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera.simulated import SimulatedSource
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import Script
 

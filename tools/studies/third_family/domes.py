@@ -18,8 +18,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from tacshade_edge.core.calibration import indenters
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.press import OBJECTS, Press, distance_mm
 from tacshade_edge.simulator.prints import PinProfile, lattice_print
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed

@@ -24,8 +24,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import SCENE_NOISE
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, Frame, Need

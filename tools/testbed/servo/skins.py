@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS, Shape
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press, Shape
 from tacshade_edge.simulator.skin import Skin, node_directions, press_skin, undeformed
 from tacshade_edge.types import F32, F64
 

@@ -10,9 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.hand.held import Finger, FingerSensor, HandTruth, hold
-from tacshade_edge.simulator.hand.script import HandScript
-from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.hand import Finger, FingerSensor, HandScript, HandTruth, hold
+from tacshade_edge.simulator.press import Shape
 from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.types import F64, U8
 

@@ -13,8 +13,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, question
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator.objects import ridge
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import Press, ridge
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))

@@ -11,9 +11,9 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.types import U8, Polarity
 from tools.testbed.simulator.families import sensor_name
 
@@ -25,7 +25,7 @@ def fitted(table: tuple[KnownPress, ...] | list[KnownPress]) -> CalibrationResul
 
 
 def shifted(image: U8, px: int) -> U8:
-    return nuisance.shift(image, 0, px)
+    return camera_faults.shift(image, 0, px)
 
 
 def test_too_few_presses() -> None:
@@ -146,7 +146,7 @@ def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
 
 
 def test_other_light_at_a_press_is_a_warning() -> None:
-    dim = [replace(presses()[0], image=nuisance.gain(presses()[0].image, 0.7)), *presses()[1:]]
+    dim = [replace(presses()[0], image=camera_faults.gain(presses()[0].image, 0.7)), *presses()[1:]]
     (warning,) = fitted(dim).warnings
     assert warning.startswith("press 0: 0.7")
     assert warning.endswith("times the light since the references were taken")

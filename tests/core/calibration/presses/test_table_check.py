@@ -25,7 +25,7 @@ from tacshade_edge.core.calibration.presses.table_check import (
 )
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))

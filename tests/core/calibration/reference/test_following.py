@@ -27,10 +27,9 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.types import U8, Calibration, Frame
 
 pytestmark = pytest.mark.slow
@@ -70,7 +69,7 @@ def test_a_still_picture_is_not_worth_a_renewal() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda image, part: nuisance.gain(image, 1 - 0.15 * part),
+        lambda image, part: camera_faults.gain(image, 1 - 0.15 * part),
         lambda image, part: camera_faults.uneven(image, *DISC, 0.2 * part, 30),
         lambda image, part: camera_faults.warm(image, *DISC[:2], 0.4 * part),
     ],
@@ -125,7 +124,7 @@ def moving(image: U8, part: float) -> U8:
         (speckled(1.5), {ReasonCode.PATCH_CHANGED}),
         (torn, {ReasonCode.PATCH_CHANGED, ReasonCode.TORN, ReasonCode.CAMERA_SHIFT}),
         (lambda image, part: camera_faults.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
-        (lambda image, part: nuisance.gain(image, 1 - 0.5 * part), {ReasonCode.LIGHT_DRIFT}),
+        (lambda image, part: camera_faults.gain(image, 1 - 0.5 * part), {ReasonCode.LIGHT_DRIFT}),
         (moving, {ReasonCode.CAMERA_SHIFT, ReasonCode.PATCH_CHANGED}),
         (lambda image, part: camera_faults.uneven(image, *DISC, 0.6 * part, 0), {ReasonCode.LIGHT_DRIFT}),
     ],
@@ -186,7 +185,7 @@ def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(
 
 def test_a_sensor_that_trembles_does_not_raise_its_gate() -> None:
     origin = calibrated(count=0)
-    trembling = [camera_faults.noise(nuisance.gain(image, 0.9), 20, k) for k, image in enumerate(rest())]
+    trembling = [camera_faults.noise(camera_faults.gain(image, 0.9), 20, k) for k, image in enumerate(rest())]
     renewed = follow(origin, origin, trembling)
     assert renewed.calibration is None or renewed.calibration.noise_grey == origin.noise_grey
 

@@ -21,10 +21,9 @@ from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import camera_faults, nuisance
+from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.types import U8, Disc, Frame
 from tools.testbed.simulator.families import OtherSensor, other_model
 
@@ -96,13 +95,13 @@ def test_few_references_are_a_warning() -> None:
 @pytest.mark.slow
 def test_references_that_differ_from_each_other() -> None:
     others = list(references()[1:])
-    (warning,) = calibrate(SENSOR, [nuisance.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
+    (warning,) = calibrate(SENSOR, [camera_faults.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
     assert warning == "reference 2: the image moved by 1.0 px compared with reference 1"
     with pytest.raises(
         ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fasten the camera"
     ):
-        calibrate(SENSOR, [*others[:2], nuisance.shift(others[2], 0, 5)])
-    (warning,) = calibrate(SENSOR, [*others, nuisance.gain(references()[0], 0.7)]).warnings
+        calibrate(SENSOR, [*others[:2], camera_faults.shift(others[2], 0, 5)])
+    (warning,) = calibrate(SENSOR, [*others, camera_faults.gain(references()[0], 0.7)]).warnings
     assert warning.startswith("reference 5: 0.7")
     one_loaded = [*others, simulated(HALF).frame((Press(ball(6.0), 3, 2, 1.5),), 9).image]
     with pytest.raises(ConfigError, match="seems pressed in reference 5"):
@@ -112,7 +111,7 @@ def test_references_that_differ_from_each_other() -> None:
 
 @pytest.mark.slow
 def test_a_new_reference_keeps_everything_else() -> None:
-    dimmer = [nuisance.gain(unloaded(noise_seed=60 + k), 0.8) for k in range(3)]
+    dimmer = [camera_faults.gain(unloaded(noise_seed=60 + k), 0.8) for k in range(3)]
     renewed = rezero(calibrated(), dimmer)
     assert renewed.crc32 == 0
     assert renewed.reference_grey.mean() < 0.85 * calibrated().reference_grey.mean()
@@ -121,7 +120,7 @@ def test_a_new_reference_keeps_everything_else() -> None:
     assert renewed.factors == calibrated().factors
     image = pressed("ball", 3.0).image
     depth_mm = (
-        make_reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, nuisance.gain(image, 0.8))).depth_max_mm
+        make_reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, camera_faults.gain(image, 0.8))).depth_max_mm
     )
     assert depth_mm == pytest.approx(step("fast", image).depth_max_mm, rel=0.1)
 
@@ -135,7 +134,7 @@ def test_a_new_reference_keeps_everything_else() -> None:
         (loaded(3.0, 0.0), "rejected the reference: .*seems pressed"),
         (loaded(3.0, 6.0), "rejected the reference: .*seems pressed"),
         (
-            [nuisance.shift(unloaded(), 0, 4)] * 3,
+            [camera_faults.shift(unloaded(), 0, 4)] * 3,
             "rejected the reference: the image moved by 4.0 px; .*calibrate again",
         ),
         (

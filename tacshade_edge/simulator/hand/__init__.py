@@ -1,1 +1,0 @@
-"""Fingers at known poses and the one object that they hold."""
