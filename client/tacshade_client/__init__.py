@@ -33,7 +33,7 @@ from .protocol.topics import (
     decode_status,
     decode_touch,
 )
-from .protocol.wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .protocol.wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
 from .rigid import Rigid, from_seven
 from .types import Geometry, Pose
 

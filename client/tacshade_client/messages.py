@@ -10,7 +10,7 @@ from .core.geometry.back_projection import skin_points
 from .core.geometry.disc import Grid, disc_rays
 from .errors import DecodeError
 from .protocol.topics import OF_HANDS, OF_SENSORS, InfoGeometry
-from .protocol.wire_decoder import HeightMessage
+from .protocol.wire_format import HeightMessage
 from .quoting import shown
 from .types import F32
 

@@ -16,7 +16,7 @@ from ..quoting import quoted
 from ..rigid import from_seven
 from ..types import Disc, Geometry
 from .codec import decode_json, decode_object
-from .wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
 
 State = Literal["online", "degraded", "stopped", "offline"]
 STATES: Final[tuple[State, ...]] = get_args(State)

@@ -14,7 +14,6 @@ import tacshade_edge as ts
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
-from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.requests import Request
 from tools.testbed.patience import patience
@@ -86,12 +85,3 @@ def test_a_dead_thread_of_the_client_raises_in_get(monkeypatch: pytest.MonkeyPat
         broker.send(publish(b"tacshade/a/state"))
         with pytest.raises(tc.DeviceError, match="receiving ended"):
             heard.get(patience(5))
-
-
-@pytest.mark.parametrize("kind", ["rows", "cols"])
-def test_a_grid_without_cells_is_refused(kind: str) -> None:
-    fields = list(wire.HEAD.unpack_from(HEIGHT))
-    fields[9 + (kind == "cols")], fields[23] = 0, 0
-    head = wire.HEAD.pack(*fields)
-    with pytest.raises(DecodeError, match="expected at least one"):
-        wire.decode(head + wire.CHECK.pack(wire.zlib.crc32(head), 0))

@@ -1,0 +1,1 @@
+../../../tacshade_edge/protocol/wire_format.py

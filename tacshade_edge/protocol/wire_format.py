@@ -1,0 +1,272 @@
+"""The binary payloads ``height``, ``cloud``, ``shear`` and ``sigma``: a 96-byte little-endian header and data.
+
+docs/reference/mqtt/frames.md defines the layout, a promise to subscribers: it may only grow. Therefore the decoder
+ignores unknown flag bits and reserved bytes and rejects everything else unknown.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Any, Final, NoReturn
+
+import numpy as np
+
+from ..errors import DecodeError
+from ..types import F32, U16, Pose
+
+WIRE_VERSION: Final = 1
+HEADER_BYTES: Final = 96
+OUTSIDE: Final = -32768
+CELLS_MAX: Final = 1 << 22
+"""Most cells of a decoded grid, or points of a cloud: a disc of 2048 px with a cell for each pixel."""
+PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
+"""Size of the largest payload, a cloud of `CELLS_MAX` points."""
+_PX_MAX, _MM_MAX = 1e5, 1e7
+_STEP_PX_LEAST: Final = 1e-6
+_UNIT_OFF_MAX: Final = 1e-2
+_SCALE_MM: Final = 0.001
+_STEPS_MAX: Final = 32767
+_SIDE_MAX: Final = 0xFFFF
+_U32: Final = 0xFFFFFFFF
+
+_MAGIC: Final = b"TCSH"
+_RAW: Final = 0
+_FLAGS: Final = ("contact", "invalid", "saturated", "degraded")  # from the lowest bit
+_POSE: Final = 1 << len(_FLAGS)
+
+# magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale | pose | payload bytes
+HEAD: Final = struct.Struct("<4s4B IIQQ 2H 4f I7f I")
+_CHECK: Final = struct.Struct("<II")
+_POINT_BYTES, _LABEL_BYTES = 12, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Message:
+    """The fields of every kind.
+
+    Attributes
+    ----------
+    seq : int
+        Frame number modulo 2^32.
+    calibration_crc32 : int
+    t_ns, wall_ns : int
+        Capture time in ns: the sender's CLOCK_MONOTONIC, and Unix time.
+    contact, invalid, saturated, degraded : bool
+        As in `Reconstruction`; the reasons are in ``health`` and ``status/camera``.
+    pose : Pose or None
+        ``base_T_flange`` at `t_ns`.
+    pose_error_us : int
+        Uncertainty in µs of the time of the pose; 0 without a pose.
+    """
+
+    seq: int
+    calibration_crc32: int
+    t_ns: int
+    wall_ns: int
+    contact: bool
+    invalid: bool
+    saturated: bool
+    degraded: bool
+    pose: Pose | None
+    pose_error_us: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GridMessage(_Message):
+    """The grid of the kinds with a value per cell: cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
+
+    row0: float
+    col0: float
+    step_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMessage(_GridMessage):
+    """A decoded ``height``.
+
+    Attributes
+    ----------
+    height_mm : float32 (rows, cols)
+        Radial deformation in mm, positive inwards, in steps of the scale; NaN outside the disc. Read-only.
+    """
+
+    height_mm: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudMessage(_Message):
+    """A decoded ``cloud``.
+
+    Attributes
+    ----------
+    points_mm : float32 (N, 3)
+        x, y, z in the sensor frame, in mm. Read-only.
+    labels : uint16 (N,)
+        Object number of each point, from 1. Read-only.
+    """
+
+    points_mm: F32
+    labels: U16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShearMessage(_GridMessage):
+    """A decoded ``shear``.
+
+    Attributes
+    ----------
+    shear_mm : float32 (rows, cols, 2)
+        Shear of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
+    """
+
+    shear_mm: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SigmaMessage(_GridMessage):
+    """A decoded ``sigma``.
+
+    Attributes
+    ----------
+    sigma_mm : float32 (rows, cols)
+        Standard deviation of the height in mm, in steps of the scale; NaN where nothing touches. Read-only.
+    """
+
+    sigma_mm: F32
+
+
+Message = HeightMessage | CloudMessage | ShearMessage | SigmaMessage
+_CLOUD: Final = 2
+_GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage], str, int]]] = {
+    1: (HeightMessage, "height_mm", 1),
+    3: (ShearMessage, "shear_mm", 2),
+    4: (SigmaMessage, "sigma_mm", 1),
+}
+"""The kinds with a value per cell: the message, its array, and the number of values per cell."""
+
+
+def encode(message: Message) -> bytes:
+    """Encode a payload; `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
+
+    Values of a grid are rounded to the nearest 0.001 mm and clamped to ±32.767 mm, infinities too; NaN becomes -32768.
+    Raises ValueError for a grid of more than 65535 rows or columns.
+    """
+    grid = (0.0, 0.0, 0.0)
+    if isinstance(message, CloudMessage):
+        kind, n = _CLOUD, len(message.labels)
+        rows, cols = n & _SIDE_MAX, n >> 16
+        data = message.points_mm.astype("<f4", copy=False).tobytes()
+        data += message.labels.astype("<u2", copy=False).tobytes()
+    else:
+        kind, name = next((kind, name) for kind, (made, name, _) in _GRIDS.items() if isinstance(message, made))
+        values_mm: F32 = getattr(message, name)
+        rows, cols = values_mm.shape[:2]
+        if max(rows, cols) > _SIDE_MAX:
+            raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
+        limit_mm = np.float32(_STEPS_MAX * _SCALE_MM)
+        steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the multiplication, which could overflow
+        np.multiply(steps, np.float32(1.0 / _SCALE_MM), out=steps)
+        np.rint(steps, out=steps)
+        np.fmax(steps, np.float32(OUTSIDE), out=steps)  # fmax replaces NaN
+        grid, data = (message.row0, message.col0, message.step_px), steps.astype("<i2").tobytes()
+    pose = message.pose
+    flags = sum(getattr(message, name) << bit for bit, name in enumerate(_FLAGS)) | _POSE * (pose is not None)
+    head = HEAD.pack(
+        *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
+        *(message.seq & _U32, message.calibration_crc32 & _U32, message.t_ns, message.wall_ns),
+        *(rows, cols, *grid, _SCALE_MM),
+        0 if pose is None else min(message.pose_error_us, _U32),
+        *((0.0,) * 7 if pose is None else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)),
+        len(data),
+    )
+    return head + _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0) + data
+
+
+def decode(data: bytes | bytearray | memoryview) -> Message:
+    """Decode one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
+
+    Raises DecodeError if the payload is too short, has an unknown magic, version, kind or codec, a wrong length or CRC,
+    more than `CELLS_MAX` cells or points, or a number that no sensor, robot or object has.
+    """
+    data = bytes(data)
+    kind, rows, cols = _check(data)
+    fields = HEAD.unpack_from(data)
+    flags, seq, calibration, t_ns, wall_ns = fields[4:9]
+    row0, col0, step_px, scale_mm, error_us = fields[11:16]
+    if kind != _CLOUD:
+        _check_grid(rows, cols, row0, col0, step_px, scale_mm)
+    pose = None
+    if flags & _POSE:
+        _check_pose(fields[16:23])
+        pose = Pose(t_ns, *fields[16:23])
+    common: dict[str, Any] = {
+        **{"seq": seq, "calibration_crc32": calibration, "t_ns": t_ns, "wall_ns": wall_ns},
+        **{name: bool(flags >> bit & 1) for bit, name in enumerate(_FLAGS)},
+        **{"pose": pose, "pose_error_us": error_us if pose else 0},
+    }
+    if kind == _CLOUD:
+        n = rows | cols << 16
+        points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
+        if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
+            _refuse("", "a point out of range", f"every point within {_MM_MAX:g} mm of the origin")
+        labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
+        return CloudMessage(**common, points_mm=points.reshape(n, 3), labels=labels)
+    made, name, per_cell = _GRIDS[kind]
+    steps = np.frombuffer(data, "<i2", rows * cols * per_cell, HEADER_BYTES)
+    values_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm))
+    values_mm.setflags(write=False)
+    common[name] = values_mm.reshape((rows, cols, per_cell)[: 1 + per_cell])
+    return made(**common, row0=row0, col0=col0, step_px=step_px)
+
+
+def _refuse(byte: str, found: str, expected: str) -> NoReturn:
+    raise DecodeError(f"height/cloud payload{byte and f', byte {byte}'}: found {found}, expected {expected}")
+
+
+def _check(data: bytes) -> tuple[int, int, int]:
+    """Check a payload's header, length and CRC; return its kind, rows and cols. Raises DecodeError."""
+    if len(data) < HEADER_BYTES:
+        _refuse("", f"{len(data)} bytes", f"at least {HEADER_BYTES} (the header)")
+    magic, version, kind, codec, _, _, _, _, _, rows, cols, *_, stated = HEAD.unpack_from(data)
+    for offset, name, found, expected in (
+        ("0", "magic", magic, (_MAGIC,)),
+        ("4", "wire version", version, (WIRE_VERSION,)),
+        ("5", "kind", kind, sorted((_CLOUD, *_GRIDS))),
+        ("6", "codec", codec, (_RAW,)),
+    ):
+        if found not in expected:
+            _refuse(offset, f"{name} {found}", " or ".join(map(str, expected)))
+    cells = rows | cols << 16 if kind == _CLOUD else rows * cols
+    if cells > CELLS_MAX:
+        _refuse("32", f"{cells} cells or points", f"at most {CELLS_MAX}")
+    needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == _CLOUD else 2 * _GRIDS[kind][2])
+    if stated != needed:
+        _refuse("84", f"{stated} payload bytes", f"{needed}")
+    if len(data) != HEADER_BYTES + stated:
+        _refuse("", f"{len(data)} bytes", f"{HEADER_BYTES + stated}, as stated at byte 84")
+    crc, _ = _CHECK.unpack_from(data, HEAD.size)
+    actual = zlib.crc32(memoryview(data)[HEADER_BYTES:], zlib.crc32(data[: HEAD.size]))
+    if crc != actual:
+        _refuse("88", f"CRC-32 {crc:08x}", f"{actual:08x}")
+    return kind, rows, cols
+
+
+def _check_grid(rows: int, cols: int, row0: float, col0: float, step_px: float, scale_mm: float) -> None:
+    if not rows * cols:
+        _refuse("32", f"{rows} x {cols} cells", "at least one")
+    if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
+        found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
+        _refuse("36", found, "a row, a column and a step within an image")
+    if not 0 < scale_mm <= 1:
+        _refuse("48", f"scale_mm {scale_mm:g}", "a number above 0 and at most 1")
+
+
+def _check_pose(pose: tuple[float, ...]) -> None:
+    *place, qw, qx, qy, qz = pose
+    if not all(abs(mm) <= _MM_MAX for mm in place):
+        _refuse("56", "a position out of range", f"a position within {_MM_MAX:g} mm of the origin")
+    if not abs((norm := math.hypot(qw, qx, qy, qz)) - 1) <= _UNIT_OFF_MAX:
+        _refuse("68", f"a quaternion of length {norm:.4g}", "length 1")
