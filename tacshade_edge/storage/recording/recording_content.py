@@ -6,9 +6,11 @@ import errno
 import json
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeGuard
+from typing import Annotated, Any, Final, TypeVar
+
+import msgspec
+from msgspec import Meta
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
@@ -18,6 +20,7 @@ from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.tables.frame_table import T_NS_MAX
 
 _log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
 ABOUT_NAME: Final = "recording.json"
@@ -25,13 +28,22 @@ _BYTES_MAX: Final = {CALIBRATION_NAME: 64 << 20, SETTINGS_NAME: 1 << 20, EVENTS_
 _LINE_BYTES_MAX: Final = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+_Time = Annotated[int, Meta(ge=0, le=T_NS_MAX)]
+
+
+class Event(msgspec.Struct, frozen=True):
     """A recorded event; `t_ns` is on the frames' clock."""
 
-    t_ns: int
+    t_ns: _Time
     kind: str
     data: dict[str, Any]
+
+
+class _Clocks(msgspec.Struct):
+    """The same instant in Unix time and on the frames' clock."""
+
+    first_wall_ns: _Time
+    first_t_ns: _Time
 
 
 def content_of(recording: Path) -> dict[str, bytes]:
@@ -56,36 +68,28 @@ def content_of(recording: Path) -> dict[str, bytes]:
 def events_in(content: dict[str, bytes]) -> Iterator[Event]:
     """The events in order; lines that are not events are skipped."""
     for line in content.get(EVENTS_NAME, b"").splitlines():
-        if len(line) > _LINE_BYTES_MAX:
-            continue
-        try:
-            found = json.loads(line)
-            event = Event(found["t_ns"], found["kind"], found["data"])
-        except (ValueError, KeyError, TypeError, RecursionError):
-            continue
-        if _is_time(event.t_ns) and isinstance(event.kind, str) and isinstance(event.data, dict):
+        if len(line) <= _LINE_BYTES_MAX and (event := _known(line, Event)):
             yield event
 
 
 def wall_minus_t_ns(folder: Path) -> int:
     """Unix time minus the frames' clock in ns; 0 if the recording does not state it."""
-    content = {name: data for name in (ABOUT_NAME, EVENTS_NAME) if (data := _read(folder / name)) is not None}
-    try:
-        about = json.loads(content.get(ABOUT_NAME, b"{}"))
-        wall_ns, t_ns = about["first_wall_ns"], about["first_t_ns"]
-        if _is_time(wall_ns) and _is_time(t_ns):
-            return wall_ns - t_ns
-    except (ValueError, KeyError, TypeError, RecursionError):
-        pass
-    unfinished = _read(part(folder / EVENTS_NAME))
-    for event in events_in({EVENTS_NAME: unfinished or content.get(EVENTS_NAME, b"")}):
-        if _is_time(wall_ns := event.data.get("wall_ns")):
-            return wall_ns - event.t_ns
+    if clocks := _known(_read(folder / ABOUT_NAME) or b"", _Clocks):
+        return clocks.first_wall_ns - clocks.first_t_ns
+    lines = _read(part(folder / EVENTS_NAME)) or _read(folder / EVENTS_NAME) or b""
+    for event in events_in({EVENTS_NAME: lines}):
+        clocks = _known({"first_wall_ns": event.data.get("wall_ns"), "first_t_ns": event.t_ns}, _Clocks)
+        if clocks is not None:
+            return clocks.first_wall_ns - clocks.first_t_ns
     return 0
 
 
-def _is_time(value: object) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= T_NS_MAX
+def _known(given: bytes | dict[str, Any], kind: type[T]) -> T | None:
+    """JSON as a record; None if it is none."""
+    try:
+        return msgspec.convert(json.loads(given) if isinstance(given, bytes) else given, kind)
+    except (ValueError, RecursionError):
+        return None
 
 
 def _read(path: Path) -> bytes | None:

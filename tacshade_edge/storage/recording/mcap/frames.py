@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Final
 
 import cv2
+import msgspec
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError as ProtobufError
 from mcap.records import Channel, Message, Schema
+from msgspec import Meta
 
 from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX, decode_image
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -35,6 +36,29 @@ _NAME_CHARS_MAX: Final = 255
 _UNUSABLE_MAX: Final = 10_000
 """Most unusable pictures and damaged places in a pass; each costs a log line, and a small file can have millions."""
 Picture = Callable[[], U8]
+
+
+_Value = Annotated[float, Meta(ge=-NUMBER_MAX, le=NUMBER_MAX)] | None
+
+
+class FrameAbout(msgspec.Struct, frozen=True, kw_only=True):
+    """The content of a `FRAME` message: what is known of the next image."""
+
+    image: Annotated[str, Meta(max_length=_NAME_CHARS_MAX)]
+    seq: int
+    t_ns: Annotated[int, Meta(ge=0, le=T_NS_MAX)]
+    x_mm: _Value = None
+    y_mm: _Value = None
+    z_mm: _Value = None
+    qw: _Value = None
+    qx: _Value = None
+    qy: _Value = None
+    qz: _Value = None
+    pose_error_us: Annotated[int, Meta(ge=0, le=ERROR_US_MAX)] | None = None
+
+
+_Found = tuple[Path, str, str, Message, FrameAbout | str | None]
+"""A message of an image: its path, schema and encoding, and the content of our `FRAME` message before it."""
 
 
 class McapFrames:
@@ -111,19 +135,17 @@ class McapFrames:
 
         return picture
 
-    def _messages(self) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
+    def _messages(self) -> Iterator[_Found | Damage]:
         """The image messages, each with path, schema, encoding and the content of our `FRAME` message before it."""
         for path in self._paths:
             with contextlib.closing(McapFile(path)) as file:
                 yield from self._messages_in(path, file)
 
-    def _messages_in(
-        self, path: Path, file: McapFile
-    ) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
+    def _messages_in(self, path: Path, file: McapFile) -> Iterator[_Found | Damage]:
         # The first of each id counts, because our writer repeats them and all copies are equal.
         schemas = dict(file.summary.schemas) if file.summary else {}
         channels = dict(file.summary.channels) if file.summary else {}
-        about: dict[str, Any] = {}
+        about: FrameAbout | str | None = None
         images = damaged = unknown = 0
         for record in file.records():
             match record:
@@ -139,7 +161,7 @@ class McapFrames:
                     if channel is None:
                         unknown += 1
                     elif channel.metadata.get(OURS) == FRAME:
-                        about = _object(record.data)
+                        about = _about(record.data)
                     elif channel.topic == self.topic:
                         images += 1
                         schema = schemas.get(channel.schema_id)
@@ -153,26 +175,27 @@ class McapFrames:
             found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the missing messages are lost"))
 
-    def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
+    def _row(self, count: int, message: Message, about: FrameAbout | str | None) -> Row:
         """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
         if not self._is_ours:
             if message.log_time > T_NS_MAX:
                 raise DecodeError(f"found the time {message.log_time}, expected at most 2^62 ns")
             return Row(str(count), message.log_time, None)
-        if about.get("seq") != message.sequence:
+        if isinstance(about, str):
+            raise DecodeError(about)
+        if about is None or about.seq != message.sequence:
             raise DecodeError(
                 "found no message with this image's time, expected one on the channel `frame` before the image"
             )
-        name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
-        if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
-            raise DecodeError(f"image: found {_short(name)}, expected a name of at most {_NAME_CHARS_MAX} characters")
-        found = [about.get(key) for key in POSE_KEYS]
-        if found == [None] * len(POSE_KEYS):
-            return Row(name, t_ns, None)
-        values = [_number(key, value) for key, value in zip(POSE_KEYS, found, strict=True)]
-        if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
+        stated = {key: value for key in POSE_KEYS if (value := getattr(about, key)) is not None}
+        if not stated:
+            return Row(about.image, about.t_ns, None)
+        if len(stated) < len(POSE_KEYS) or about.pose_error_us is None:
+            raise DecodeError(f"found only {', '.join(stated)} of a pose, expected all its values and pose_error_us")
+        pose = Pose(about.t_ns, **stated)
+        if abs((norm := math.hypot(pose.qw, pose.qx, pose.qy, pose.qz)) - 1) > UNIT_TOLERANCE:
             raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
-        return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
+        return Row(about.image, about.t_ns, pose, about.pose_error_us)
 
 
 def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
@@ -210,33 +233,14 @@ def _described(file: McapFile) -> Iterator[Schema | Channel | Message | Damage]:
     return file.records()
 
 
-def _whole(about: dict[str, Any], key: str, most: int) -> int:
-    value = about.get(key)
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
-        raise DecodeError(f"{key}: found {_short(value)}, expected a whole number from 0 to {most}")
-    return value
-
-
-def _number(key: str, value: object) -> float:
-    """Return a number as a float, after checking its range, because JSON integers can have any size."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (is_number and -NUMBER_MAX <= value <= NUMBER_MAX):  # type: ignore[operator]
-        raise DecodeError(f"{key}: found {_short(value)}, expected a number from {-NUMBER_MAX:g} to {NUMBER_MAX:g}")
-    return float(value)  # type: ignore[arg-type]
-
-
-def _short(value: object) -> str:
-    return quoted(json.dumps(value)).strip("'")
-
-
-def _object(payload: bytes) -> dict[str, Any]:
+def _about(payload: bytes) -> FrameAbout | str:
+    """The content of a `FRAME` message, or why it is none."""
     if len(payload) > _ABOUT_BYTES_MAX:
-        return {}
+        return f"found {len(payload)} bytes on the channel `frame`, expected at most {_ABOUT_BYTES_MAX}"
     try:
-        found = json.loads(payload)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+        return msgspec.json.decode(payload, type=FrameAbout)
+    except (ValueError, RecursionError) as error:
+        return f"{shown(error)}, on the channel `frame`"
 
 
 # Encoding to its number of channels and OpenCV's code for the conversion to BGR.

@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO, Final, Literal
 
+import msgspec
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -29,21 +30,20 @@ from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
-from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS
+from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS, FrameAbout
 from tacshade_edge.types import F32, Frame, ObjectCloud
 from tacshade_edge.version import installed_version
 
 CHUNK_BYTES: Final = 1 << 20
 _MEDIA_TYPES: Final = {"yaml": "application/yaml", "json": "application/json", "jsonl": "application/jsonl"}
 _NUMBER: Final = {"type": "number"}
-_FRAME_KEYS: Final = ("seq", "t_ns", *POSE_KEYS, "pose_error_us")
 _CONTACT_KEYS: Final = (
     *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
     *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s"),
 )
 # Any value may be null, which the viewers' JSON Schema cannot express.
 _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
-    FRAME: dict.fromkeys(_FRAME_KEYS, _NUMBER) | {"image": {"type": "string"}},
+    FRAME: dict.fromkeys(FrameAbout.__struct_fields__, _NUMBER) | {"image": {"type": "string"}},
     "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
     | {key: {"type": "string"} for key in ("reason_code", "degraded_code")},
     "touch": TOUCH_SCHEMA["properties"],
@@ -71,13 +71,14 @@ class McapWriter:
 
     def frame(self, name: str, frame: Frame, png: bytes, wall_ns: int) -> None:
         """Write a captured frame: its name, times and pose, then its picture."""
-        about: dict[str, Any] = {"image": name, "seq": frame.seq, "t_ns": frame.t_ns}
-        values = None if (pose := frame.pose) is None else tuple(float(getattr(pose, key)) for key in POSE_KEYS)
-        about |= dict(zip(POSE_KEYS, values or (None,) * 7, strict=True))
-        about["pose_error_us"] = None if values is None else frame.pose_error_us
-        self.write(FRAME, json.dumps(about).encode(), wall_ns, frame.seq)
-        if values is not None:
-            self.write("tf", transform_message(values, "base", "flange", self._sensor_id, wall_ns), wall_ns)
+        values = {} if (pose := frame.pose) is None else {key: float(getattr(pose, key)) for key in POSE_KEYS}
+        error_us = frame.pose_error_us if values else None
+        about = FrameAbout(image=name, seq=frame.seq, t_ns=frame.t_ns, pose_error_us=error_us, **values)
+        self.write(FRAME, msgspec.json.encode(about), wall_ns, frame.seq)
+        if values:
+            self.write(
+                "tf", transform_message(tuple(values.values()), "base", "flange", self._sensor_id, wall_ns), wall_ns
+            )
         self.write(CAMERA, camera_message(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
 
     def write(self, name: str, payload: bytes, wall_ns: int, seq: int = 0) -> None:

@@ -170,7 +170,7 @@ def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, ke
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [90, 92]
     assert len(refused) == 1
-    assert f"message 1 of /tacshade/left/camera: {key}: found" in refused[0]
+    assert "message 1 of /tacshade/left/camera: " in refused[0]
     assert len(refused[0]) < 500
 
 
