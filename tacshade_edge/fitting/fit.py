@@ -53,6 +53,8 @@ LEAST_GAIN = 0.15
 """Part by which a network must be better on the twin where no presses judge it: a twin flatters what it trained."""
 MOST_WORKERS = 4
 _SAY_S = 5.0
+_SLOW_S = 1800.0
+"""Simulating and training take about as long: a fit with one that takes longer than this is over an hour."""
 NAMES = (DEFAULT, *(name for name in (*LADDER, SHEAR) if name != DEFAULT))
 """The fitted networks, the default profile's first."""
 _COSTS = {"accurate": 1.0, "shear": 1.2, "balanced": 0.4, "fast": 0.15}
@@ -232,7 +234,7 @@ def _worked(
 
 def _wait(jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: str, say: Say) -> None:
     """Wait for jobs, and say every few seconds which part is done; raise what one of them raised."""
-    began_s = time.monotonic()
+    began_s, slow = time.monotonic(), False
     waiting = set(jobs)
     while waiting:
         finished, waiting = wait(waiting, _SAY_S, "FIRST_EXCEPTION")
@@ -242,6 +244,9 @@ def _wait(jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: s
         if part > 0:
             left_s = (time.monotonic() - began_s) * (1 / part - 1)
             say(f"fit: {what}, {100 * part:.0f} % done, about {left_s:.0f} s left")
+            if left_s > _SLOW_S and not slow:
+                say("fit: a desktop is faster: press Ctrl-C, run the same command there on these files, copy the result")
+                slow = True
 
 
 def _skin_radii(calibration: Calibration) -> float:
