@@ -245,7 +245,9 @@ def _wait(jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: s
             left_s = (time.monotonic() - began_s) * (1 / part - 1)
             say(f"fit: {what}, {100 * part:.0f} % done, about {left_s:.0f} s left")
             if left_s > _SLOW_S and not slow:
-                say("fit: a desktop is faster: press Ctrl-C, run the same command there on these files, copy the result")
+                say(
+                    "fit: a desktop is faster: press Ctrl-C, run the same command there on these files, copy the result"
+                )
                 slow = True
 
 
