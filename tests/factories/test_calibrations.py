@@ -93,6 +93,7 @@ def test_nothing_is_written_where_that_is_not_wanted(path: Path, monkeypatch: py
     assert os.listdir(path.parent) == [path.name]
 
 
+@pytest.mark.slow
 def test_it_is_used_where_it_cannot_be_stored(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -34,6 +34,7 @@ def test_a_held_object_is_dragged_in_few_steps_and_lifted_in_few() -> None:
     assert script.at(23 + 16) == script.at(16)  # the second press, dragged as the first
 
 
+@pytest.mark.slow
 def test_the_demonstration_drags_twists_and_slips() -> None:
     script, sensor = demonstration(), SimulatedSensor()
     turn = script.period // len(script.presses)

@@ -84,6 +84,7 @@ def test_two_presses_are_at_least_as_deep_as_either() -> None:
         assert np.min(both - press_skin(R_MM, DECAY_MM, [press]).height_mm) > -1e-3
 
 
+@pytest.mark.slow
 @given(
     name=st.sampled_from(sorted(OBJECTS)),
     x_mm=st.floats(-13, 13),

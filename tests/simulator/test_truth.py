@@ -67,6 +67,7 @@ def test_the_skirt_is_deformed_but_not_contact(small_sensor: SimulatedSensor) ->
     assert skirt.sum() > 0.5 * truth.contact.sum()
 
 
+@pytest.mark.slow
 def test_a_flat_face_in_contact_is_flat(sensor: SimulatedSensor) -> None:
     truth = sensor.frame((Press(OBJECTS["cylinder"](), 0.0, 0.0, 3.0),)).truth()
     inner = np.hypot(truth.points_mm[:, 0], truth.points_mm[:, 1]) < 4.5

@@ -75,6 +75,7 @@ def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: 
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path, compression: int) -> None:
     size = 200 << 20

@@ -175,6 +175,7 @@ def test_noise_alone_is_no_slip_in_ten_minutes() -> None:
     assert sum(b and not a for a, b in pairwise(told)) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)])
 def test_a_slip_is_told_as_soon_as_it_stands_out_of_the_noise(
     speed_mm_s: float, noise_mm: float, within_s: float

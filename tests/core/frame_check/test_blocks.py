@@ -25,6 +25,7 @@ def test_rounded_blocks_err_by_no_more_than_is_said(grey: U8, rounded: int) -> N
         assert np.abs(variance - plain_std**2).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [HALF, FULL, TACTIP, random_sensor(0)], ids=["half", "full", "tactip", "r0"])
 def test_a_good_frame_needs_no_second_look(model: SensorModel) -> None:
     """What makes the check fast: the rounded blocks of good frames already tell that they are good."""

@@ -266,6 +266,7 @@ PLACES = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @examples(60)
 @given(touched=st.booleans(), changes=DISTURBED, place=PLACES)
 def test_the_fast_check_says_what_the_plain_one_says(touched: bool, changes: list, place: tuple[slice, slice]) -> None:

@@ -131,6 +131,7 @@ def test_only_what_is_there_and_is_no_device_is_hopeless() -> None:
             check_kind(device)
 
 
+@pytest.mark.slow
 def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:
     code = (
         "import sys; import tacshade_edge.daemon.app; from tacshade_edge.factories.sources import make_serial_port;"

@@ -17,6 +17,7 @@ def blocks(depths_mm: list[float], seed: int) -> list[F32]:
     return [block_means(to_grey(simulated(HALF).frame(press, seed + k).image)) for k, press in enumerate(presses)]
 
 
+@pytest.mark.slow
 def test_a_held_press_stands_still_and_a_moved_one_does_not() -> None:
     rest = motion_grey(blocks([0.0] * 10, 0))
     assert stands_still(motion_grey(blocks([2.0] * 10, 100)), rest)

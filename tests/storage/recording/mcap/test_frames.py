@@ -95,6 +95,7 @@ def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
         Recording(path, fps=30)
 
 
+@pytest.mark.slow
 def test_a_cut_at_any_of_100_bytes_leaves_all_but_the_last_chunk(tmp_path: Path) -> None:
     whole, frames = ours(40), 40
     path = tmp_path / "rec.mcap.part"
