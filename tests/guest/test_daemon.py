@@ -36,7 +36,7 @@ def running(folder: Path, fps: int) -> Iterator[tuple[subprocess.Popen[str], Sub
     config = folder / "settings.yaml"
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         config.write_text(
-            f"calibration: {PAINTED}/calibration.npz\n"
+            f"calibration: {PAINTED}/calibration.npz\nprofile: fast\n"
             f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: {fps}, fourcc: YUYV}}\n"
             f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )
