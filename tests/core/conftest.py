@@ -1,5 +1,5 @@
 """Every test here may make a reconstructor."""
 
-from support.shared_networks import shared_networks
+from support.networks import shared_networks
 
 __all__ = ["shared_networks"]

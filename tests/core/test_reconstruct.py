@@ -20,7 +20,7 @@ from support.calibrated_sensor import (
     step,
     unloaded,
 )
-from support.toy_network import saying
+from support.networks import saying
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold

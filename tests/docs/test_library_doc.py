@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
-from support.recorded_hand import record_hand
+from support.recordings import record_hand
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.findings import checked, states
-from support.fitted import fitted_with
+from support.networks import fitted_with
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.doctor.calibration import check_images, load

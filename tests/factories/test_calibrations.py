@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
-from support.fitted import fitted_network, fitted_with
+from support.networks import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import Inputs

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.float_network import float_network
+from support.networks import float_network
 
 from tacshade_edge.core.depth.learned import KNOWN
 from tacshade_edge.core.profiles import PROFILES

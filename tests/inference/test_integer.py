@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
-from support.float_network import float_network, float_shear
+from support.networks import float_network, float_shear
 
 from tacshade_edge.core.depth import Network, NetworkMaps
 from tacshade_edge.core.profiles import PROFILES

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
-from support.fitted import fitted_network, fitted_with
+from support.networks import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.depth.learned import KNOWN, Network

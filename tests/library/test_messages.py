@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recorded_hand import record_finger, record_hand
+from support.recordings import record_finger, record_hand
 
 import tacshade_edge as ts
 from tacshade_edge.protocol.hand import encode_hand

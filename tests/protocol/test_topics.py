@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.fitted import fitted_with
+from support.networks import fitted_with
 from support.published_sensor import calibration, health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.booted_machine import CHECKOUT, cannot_boot, seen_there
+from support.booted_machine import CHECKOUT, cannot_boot, fetch, seen_there
 from support.calibrated_sensor import FULL, calibrated
-from support.locked_wheels import fetch
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.patience import stretched

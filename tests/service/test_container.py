@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.locked_wheels import fetch
+from support.booted_machine import fetch
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.release.version import version

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
-from support.extreme_images import EXTREME_IMAGES, Maker, makers
+from support.extremes import EXTREME_IMAGES, Maker, makers
 from support.soundness import everything, sound_step
 
 from tacshade_edge.core.profiles import PROFILES

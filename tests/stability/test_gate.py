@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.built_sensor import built_calibration, marked
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
-from support.extreme_images import constant, ramp
+from support.extremes import constant, ramp
 from support.soundness import sound_step
 
 from tacshade_edge.core.image.preprocess import Preprocessor

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
-from support.extreme_images import EXTREME_IMAGES, noise
+from support.extremes import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
 from tacshade_edge.core.depth.learned import DEEPEST_RADII

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.extreme_images import EXTREME_IMAGES
-from support.float_network import float_network
+from support.extremes import EXTREME_IMAGES
+from support.networks import float_network
 
 from tacshade_edge.core.depth import Network, NetworkMaps
 from tacshade_edge.core.depth.learned import Inverse, LearnedInverse, LearnedShear

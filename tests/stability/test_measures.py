@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.toy_network import ALL_TRUSTED
+from support.networks import ALL_TRUSTED
 
 from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.indenters import Ball

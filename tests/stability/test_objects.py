@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.extreme_maps import EXTREME_MAPS
+from support.extremes import EXTREME_MAPS
 
 from tacshade_edge.core.contact.objects import BINS, find_objects, two_means_split
 from tacshade_edge.core.geometry.disc import Grid, disc_rays

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support.built_sensor import built_calibration, marked
-from support.extreme_images import EXTREME_IMAGES, noise
+from support.extremes import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
 from tacshade_edge.core.calibration.calibrate import calibrate

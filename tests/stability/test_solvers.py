@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
+from support.extremes import BEYOND, EXTREME_MAPS, any_maps, shapes
 
 from tacshade_edge.core.depth import Depth, hybrid_sfs
 from tacshade_edge.core.image.grey_maps import GreyMaps

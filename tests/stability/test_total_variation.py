@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.extreme_maps import EXTREME_MAPS
+from support.extremes import EXTREME_MAPS
 
 from tacshade_edge.core.image import total_variation
 from tacshade_edge.core.image.greyscale import denoise_tv

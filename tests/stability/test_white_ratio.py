@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.built_sensor import built_calibration
 from support.examples import examples
-from support.extreme_images import EXTREME_IMAGES, checkerboard, makers
+from support.extremes import EXTREME_IMAGES, checkerboard, makers
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.examples import at_most
-from support.fitted import fitted_with
+from support.networks import fitted_with
 
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import DecodeError, TacshadeError

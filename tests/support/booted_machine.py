@@ -1,4 +1,4 @@
-"""Boots systemd over a throw-away copy of this machine (tools/rig/boot_systemd.sh); a scenario runs there as root."""
+"""Boots systemd over a throw-away copy of this machine (tools/rig/boot_systemd.sh), and the wheels that it installs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -45,3 +46,15 @@ def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[
     print(done.stdout)
     result: dict[str, Any] = json.loads((folder / "seen.json").read_text())
     return result
+
+
+LOCK = Path(__file__).parents[2] / "systemd/requirements.lock"
+
+
+def fetch(folder: Path) -> Path:
+    """Into a folder, for the Python that runs; skips the test where they are out of reach."""
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--require-hashes", "--no-deps", "-d", str(folder)]
+    done = subprocess.run([*command, "-r", str(LOCK)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"pip cannot fetch the program's packages here: {done.stderr.strip()[-300:]}")
+    return folder

@@ -19,7 +19,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
-from support.locked_wheels import LOCK, fetch
+from support.booted_machine import LOCK, fetch
 
 from tools.release import distributions, package_debian
 from tools.release.docs_site import DOCS, outside_links, pages_of, slug

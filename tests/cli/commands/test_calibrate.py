@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, simulated, unloaded
-from support.fitted import fitted_with
+from support.networks import fitted_with
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main

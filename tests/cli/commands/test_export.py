@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.recorded_hand import record_hand
+from support.recordings import record_hand
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.touch.answer import PLAIN

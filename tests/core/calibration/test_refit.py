@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated
-from support.toy_network import ALL_TRUSTED
+from support.networks import ALL_TRUSTED
 
 from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.calibrate import calibrate

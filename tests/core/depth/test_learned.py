@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, unloaded
-from support.toy_network import answering
+from support.networks import answering
 
 from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, LearnedSolver, fold, unfold
 from tacshade_edge.core.geometry import disc_map

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
-from support.toy_network import saying
+from support.networks import saying
 
 from tacshade_edge.core.depth.learned import fold
 from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_SURE, untrusted_part, untrusted_rows_part

@@ -3,7 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from support.sparse_dome import FIELD, PITCH_PX, SIZE, pins_px, sparse_dome
+from support.built_sensor import FIELD, PITCH_PX, SIZE, pins_px, sparse_dome
 
 from tacshade_edge.core.calibration.reference.marker_field import find_markers
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px

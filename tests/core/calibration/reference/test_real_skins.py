@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.built_sensor import SIZE, sparse_dome
 from support.calibrated_sensor import HALF, TACTIP, references
-from support.sparse_dome import SIZE, sparse_dome
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.built_sensor import FIELD, PITCH_PX, sparse_dome
 from support.calibrated_sensor import FULL, HALF, TACTIP, references
-from support.sparse_dome import FIELD, PITCH_PX, sparse_dome
 
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px
 from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
