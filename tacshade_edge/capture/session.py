@@ -26,11 +26,10 @@ from tacshade_edge.storage.tables.capture_folder import (
     CaptureFolder,
     Stated,
     TakenPress,
-    known_press,
     next_number,
     stated,
 )
-from tacshade_edge.storage.tables.presses import BALL
+from tacshade_edge.storage.tables.presses import BALL, known_press
 from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES
@@ -155,7 +154,7 @@ class Session:
         self._taken = [*self._taken, added]
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self._terminal.say(f"  {added.image}: {press}{warning}")
-        if asked := check.question(known_press(added.image, image, press, self._names)):
+        if asked := check.question(known_press(added.image, image, press.row(), self._names)):
             self._terminal.say(f"  {asked} (undo removes it)")
         return ""
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tacshade_edge.core.calibration.indenters import Indenter
-from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import png, read_image
@@ -27,6 +25,10 @@ class Stated:
     """A press as a person states it: the columns of PRESSES.csv except the image, as text."""
 
     columns: tuple[str, ...]
+
+    def row(self) -> dict[str, str]:
+        """The cells by column."""
+        return dict(zip((*HEADER[1:], *MORE), self.columns, strict=False))
 
     def __str__(self) -> str:
         indenter, radius_mm, depth_mm, x_mm, y_mm, *more = self.columns
@@ -76,24 +78,6 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
         if text:
             number(where, name, text)
     return Stated(tuple(columns))
-
-
-def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indenter | float]) -> KnownPress:
-    """A press that `stated` has checked, for `calibrate`; `names` holds the indenters in addition to the ball."""
-    indenter, radius_text, depth_text, x_text, y_text, *more = press.columns
-    known = names.get(indenter)
-    ball_mm = known if isinstance(known, float) else 0.0
-    angles = [float(text or 0) for text in more[:3]] + [0.0] * (3 - len(more[:3]))
-    return KnownPress(
-        name,
-        image,
-        float(radius_text) if indenter == BALL else ball_mm,
-        float(depth_text),
-        float(x_text) if x_text else None,
-        float(y_text) if y_text else None,
-        known if isinstance(known, Indenter) else None,
-        *angles,
-    )
 
 
 def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:

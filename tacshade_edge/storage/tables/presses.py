@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.tables import number, read_columns
+from tacshade_edge.types import U8
 
 BALL = "ball"
 """The indenter without an entry in INDENTERS.yaml."""
@@ -20,7 +22,7 @@ HEADER = ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
 MORE = ("yaw_deg", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
 """Optional columns; an empty cell means 0."""
 
-_YAW_MOST_DEG, _TILT_MOST_DEG = 360.0, 60.0
+_MOST_DEG = {"yaw_deg": 360.0, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0}
 
 
 def read_presses(
@@ -82,41 +84,22 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
         image = read_image(named_file(path.parent, row["image"]))
     except DecodeError as error:
         raise ConfigError(f"{where}: image: {error}") from None
-    angles = [
-        _within(where, row, "yaw_deg", _YAW_MOST_DEG),
-        _within(where, row, "tilt_x_deg", _TILT_MOST_DEG),
-        _within(where, row, "tilt_y_deg", _TILT_MOST_DEG),
-    ]
     # x and y already give the indenter's place in the image; the drag does not matter but must be a number.
-    for column in MORE[3:]:
-        _optional(where, row, column)
-    if indenter is None:
-        radius_mm = number(where, "radius_mm", row["radius_mm"])
-    else:
-        radius_mm = 0.0 if isinstance(indenter, Indenter) else indenter
-    return KnownPress(
-        name=f"{where}: {row['image']}",
-        image=image,
-        radius_mm=radius_mm,
-        depth_mm=number(where, "depth_mm", row["depth_mm"]),
-        x_mm=number(where, "x_mm", place[0]) if place[0] else None,
-        y_mm=number(where, "y_mm", place[1]) if place[1] else None,
-        indenter=indenter if isinstance(indenter, Indenter) else None,
-        yaw_deg=angles[0],
-        tilt_x_deg=angles[1],
-        tilt_y_deg=angles[2],
-    )
+    columns = ("depth_mm", *["radius_mm"] * (indenter is None), *["x_mm", "y_mm"] * bool(place[0]))
+    for column in (*columns, *(column for column in MORE if row.get(column, "").strip())):
+        value, most = number(where, column, row[column]), _MOST_DEG.get(column, math.inf)
+        if abs(value) > most:
+            raise ConfigError(
+                f"{where}: {column}: found {quoted(row[column])}, expected a number from -{most:g} to {most:g}"
+            )
+    return known_press(f"{where}: {row['image']}", image, row, indenters)
 
 
-def _optional(where: str, row: dict[str, str], column: str) -> float:
-    text = row.get(column, "").strip()
-    return number(where, column, text) if text else 0.0
-
-
-def _within(where: str, row: dict[str, str], column: str, most: float) -> float:
-    value = _optional(where, row, column)
-    if abs(value) > most:
-        raise ConfigError(
-            f"{where}: {column}: found {quoted(row[column])}, expected a number from -{most:g} to {most:g}"
-        )
-    return value
+def known_press(name: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+    """The press in a row whose cells have been checked; `indenters` holds those in addition to the ball."""
+    indenter = indenters.get(row["indenter"])
+    x_mm, y_mm = (float(row[column]) if row[column].strip() else None for column in ("x_mm", "y_mm"))
+    ball_mm = float(row["radius_mm"]) if indenter is None else indenter if isinstance(indenter, float) else 0.0
+    solid = indenter if isinstance(indenter, Indenter) else None
+    angles = (float(row.get(column, "").strip() or 0) for column in MORE[:3])
+    return KnownPress(name, image, ball_mm, float(row["depth_mm"]), x_mm, y_mm, solid, *angles)
