@@ -18,7 +18,7 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.protocol.topics import Finger, HandObjects
 from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.settings import Settings, json_schema
+from tacshade_edge.settings import Settings
 from tacshade_edge.settings.load import read_struct
 from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.storage.recording.recording import Recording
@@ -38,7 +38,7 @@ def recorded_settings(content: dict[str, bytes]) -> Settings | None:
         path = Path(folder) / SETTINGS_NAME
         path.write_bytes(content[SETTINGS_NAME])
         # Not `load`, which refuses a hand's finger without its hand.
-        return read_struct(path, Settings, json_schema())[0]
+        return read_struct(path, Settings)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,7 +41,6 @@ from tacshade_edge.settings.model import (
     Simulated,
     Source,
     V4l2,
-    json_schema,
     wrong_with,
 )
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
@@ -98,15 +97,14 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
 
 def load_all(path: Path) -> tuple[Document, ...]:
     """Read and check a settings file with one sensor or several. Raises ConfigError like `load`."""
-    schema = json_schema()
     value, found, mistakes = strict_yaml.read(path)
     several = isinstance(value, dict) and SENSORS in value
     parts, wrong = split(path, value, found) if several else ([(value, found)], [])
     documents = []
     for value_of_one, found_of_one in parts:
-        settings, wrong_of_one = _converted(path, value_of_one, found_of_one, Settings, schema)
+        settings, wrong_of_one = _converted(path, value_of_one, found_of_one, Settings)
         known = {m.key for m in (*mistakes, *wrong_of_one)}
-        wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, schema, known)
+        wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, known)
         wrong_of_one += _exposure_mistakes(path, found_of_one, settings)
         wrong_of_one += _hand_mistakes(path, value_of_one, found_of_one, known, several)
         wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # report a shared key once
@@ -161,11 +159,9 @@ def _exposure_mistakes(path: Path, found: dict[Key, Found], settings: Settings |
     return [_mistake(path, found, ("source", name), f"found {value}, {expected}")]
 
 
-def _profile_mistakes(
-    path: Path, value: dict[str, Any], found: dict[Key, Found], schema: dict[str, Any], known: set[Key]
-) -> list[Mistake]:
+def _profile_mistakes(path: Path, value: dict[str, Any], found: dict[Key, Found], known: set[Key]) -> list[Mistake]:
     """Mistakes that msgspec cannot find: an unknown profile, `AUTO` without a budget, a budget without `AUTO`."""
-    properties, budget = schema["$defs"]["Settings"]["properties"], ("latency_budget_ms",)
+    properties, budget = schema_of(Settings)["properties"], ("latency_budget_ms",)
     profile, budget_ms = value.get("profile", DEFAULT), value.get("latency_budget_ms")
     if ("profile",) in known:
         return []
@@ -190,27 +186,31 @@ def to_yaml(settings: Settings) -> str:
     return text
 
 
-def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, dict[Key, Found]]:
-    """Read a YAML file as one msgspec struct with the JSON Schema `schema`. Raises ConfigError like `load`."""
+def schema_of(kind: type) -> dict[str, Any]:
+    """The JSON Schema of a struct, with those of the structs in it."""
+    schema = msgspec.json.schema(kind)
+    return {**schema["$defs"][kind.__name__], "$defs": schema["$defs"]}
+
+
+def read_struct(path: Path, kind: type[T]) -> tuple[T, dict[Key, Found]]:
+    """Read a YAML file as one msgspec struct. Raises ConfigError like `load`."""
     value, found, mistakes = strict_yaml.read(path)
-    struct, wrong = _converted(path, value, found, kind, schema)
+    struct, wrong = _converted(path, value, found, kind)
     strict_yaml.refuse(mistakes + wrong)
     assert struct is not None  # else something was wrong
     return struct, found
 
 
-def as_struct(
-    path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
-) -> T:
+def as_struct(path: Path, document: Any, found: dict[Key, Found], kind: type[T], at: Key = ()) -> T:
     """Convert the value at a key of a YAML document to a struct. Raises ConfigError like `read_struct`."""
-    struct, wrong = _converted(path, document, found, kind, schema, at)
+    struct, wrong = _converted(path, document, found, kind, at)
     strict_yaml.refuse(wrong)
     assert struct is not None  # else something was wrong
     return struct
 
 
 def _converted(
-    path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
+    path: Path, document: Any, found: dict[Key, Found], kind: type[T], at: Key = ()
 ) -> tuple[T | None, list[Mistake]]:
     """The struct, or None and all mistakes.
 
@@ -231,7 +231,7 @@ def _converted(
         try:
             struct = msgspec.convert(rest, kind)
         except msgspec.ValidationError as error:
-            keys, problem, out = _explain(str(error), rest, below, schema)
+            keys, problem, out = _explain(str(error), rest, below, schema_of(kind))
             mistakes += [_mistake(path, found, (*at, *key), problem(key)) for key in keys]
             if not _take_out(rest, out):
                 return None, mistakes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -30,9 +30,7 @@ class PrinterFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 def read_printer(path: Path) -> PrinterFile:
     """Read PRINTER.yaml. Raises ConfigError."""
-    schema = msgspec.json.schema(PrinterFile)
-    root: dict[str, Any] = {**schema["$defs"]["PrinterFile"], "$defs": schema["$defs"]}
-    given, found = read_struct(path, PrinterFile, root)
+    given, found = read_struct(path, PrinterFile)
     limits = {"x_mm": given.x_mm, "y_mm": given.y_mm, "z_mm": given.z_mm}
     for (key, (least, most)), start in zip(limits.items(), given.start_mm, strict=True):
         if not least < most:

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.load import expectation, read_struct
+from tacshade_edge.settings.load import expectation, read_struct, schema_of
 from tacshade_edge.settings.model import Placed, wrong_with
 from tacshade_edge.types import IDENTITY_POSE, Disc
 
@@ -65,16 +65,14 @@ def _converted(key: str, text: str, value: float | str, kind: Any) -> float | st
     try:
         msgspec.convert(value, kind)
     except msgspec.ValidationError:
-        properties = msgspec.json.schema(SensorFile)["$defs"]["SensorFile"]["properties"]
+        properties = schema_of(SensorFile)["properties"]
         raise ConfigError(f"{key}: found {text or 'nothing'}, expected {expectation(properties[key])}") from None
     return value
 
 
 def read_sensor(path: Path) -> Sensor:
     """Read SENSOR.yaml. Raises ConfigError."""
-    schema = msgspec.json.schema(SensorFile)
-    root: dict[str, Any] = {**schema["$defs"]["SensorFile"], "$defs": schema["$defs"]}
-    given, found = read_struct(path, SensorFile, root)
+    given, found = read_struct(path, SensorFile)
     if problem := wrong_with(given.flange_T_sensor):
         raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
     circle = given.visible_circle

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import yaml
@@ -50,14 +50,12 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     strict_yaml.refuse(mistakes)
     if not isinstance(value, dict):
         raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected indenter names")
-    schema = msgspec.json.schema(IndenterEntry)
-    root: dict[str, Any] = {**schema["$defs"]["IndenterEntry"], "$defs": schema["$defs"]}
     entries = {}
     for name in value:
         where = f"{path}:{found[name,].line}"
         if name == "ball":
             raise ConfigError(f"{where}: ball: found an entry, expected none, because this name is built in")
-        entry = as_struct(path, value, found, IndenterEntry, root, at=(name,))
+        entry = as_struct(path, value, found, IndenterEntry, at=(name,))
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:
                 raise ConfigError(f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}")
