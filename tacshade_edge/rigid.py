@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from .types import F64, Pose, freeze
+from .types import F64, Pose, frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Rigid:
     """A rotation (3, 3), then a translation (3,)."""
 
     rotation: F64
     translation_mm: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "rotation", "translation_mm")
 
     def __matmul__(self, inner: Rigid) -> Rigid:
         """``a_T_b @ b_T_c`` is ``a_T_c``."""

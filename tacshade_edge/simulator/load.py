@@ -6,14 +6,14 @@ along the skin are left open: `SensorModel.coulomb` is μ kn / kt, and callers t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Load:
     """The load of one press: ∫ p / kn and ∫ |q| / kt over its contact (the latter also of a twist, whose tractions
     cancel in `pull_mm3`); the force of the pressure on the object, through O, and of the traction, and the latter's
@@ -27,9 +27,6 @@ class Load:
     pull_mm3: F64
     torque_mm4: F64
     surplus: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "push_mm3", "pull_mm3", "torque_mm4")
 
     def turned(self, rotation: F64) -> Load:
         """The same load along other axes, turned by a rotation (3, 3)."""

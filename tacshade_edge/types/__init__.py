@@ -1,6 +1,6 @@
 """The values that the layers pass to each other. Frozen; every array in them is read-only."""
 
-from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
+from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze, frozen
 from tacshade_edge.types.calibration import (
     TOUCH_ARRAYS,
     Binarisation,
@@ -54,4 +54,5 @@ __all__ = [
     "TouchModel",
     "TouchedObject",
     "freeze",
+    "frozen",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .arrays import U8, freeze
+from .arrays import U8, frozen
 
 IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -23,7 +23,7 @@ class Pose:
     qz: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Frame:
     """One image of the sensor's camera.
 
@@ -48,6 +48,3 @@ class Frame:
     image: U8
     pose: Pose | None = None
     pose_error_us: int = 0
-
-    def __post_init__(self) -> None:
-        freeze(self, "image")

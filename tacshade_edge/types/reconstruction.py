@@ -9,7 +9,7 @@ from enum import Flag, IntEnum
 import numpy as np
 
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types.arrays import F32, U16, Bool, freeze
+from tacshade_edge.types.arrays import F32, U16, Bool, freeze, frozen
 
 QUANTITIES = (
     *("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg", "x_mm", "y_mm", "edge_deg"),
@@ -18,7 +18,7 @@ QUANTITIES = (
 """Columns of LABELS.csv; the first six are also known without labels."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class HeightMap:
     """Radial deformation on a grid of the image; grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
 
@@ -32,19 +32,13 @@ class HeightMap:
     col0: float
     step_px: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "height_mm", "contact")
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ObjectCloud:
     """Points of the contacted skin, float32 (N, 3), x, y, z in the sensor frame; uint16 object numbers (N,) from 1."""
 
     points_mm: F32
     labels: U16
-
-    def __post_init__(self) -> None:
-        freeze(self, "points_mm", "labels")
 
 
 class Need(Flag):

@@ -1,6 +1,6 @@
 """The daemon's value types that its messages contain."""
 
-from .arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
+from .arrays import F32, F64, I32, I64, U8, U16, Bool, freeze, frozen
 from .frame import IDENTITY_POSE, Frame, Pose
 from .geometry import Disc, Geometry
 
@@ -18,4 +18,5 @@ __all__ = [
     "Geometry",
     "Pose",
     "freeze",
+    "frozen",
 ]

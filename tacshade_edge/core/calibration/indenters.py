@@ -16,7 +16,7 @@ import numpy as np
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import DiscRays, disc_rays
-from tacshade_edge.types import F32, F64, I64, Geometry, freeze
+from tacshade_edge.types import F32, F64, I64, Geometry, frozen
 
 SIDES = 128
 """Number of flats of a round side."""
@@ -45,7 +45,7 @@ class Ball:
         return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Indenter:
     """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor; corners (N, 3, 3) of
     triangles.
@@ -54,11 +54,8 @@ class Indenter:
     name: str
     triangles_mm: F64
 
-    def __post_init__(self) -> None:
-        freeze(self, "triangles_mm")
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PlacedIndenter:
     """An indenter during a press: where its origin is, how far its lowest point is under the undeformed skin there, and
     its triangles (N, 3, 3), all in the sensor frame.
@@ -68,9 +65,6 @@ class PlacedIndenter:
     y_mm: float
     depth_mm: float
     triangles_mm: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "triangles_mm")
 
     def depth_max_mm(self, skin_radius_mm: float) -> float:
         """Greatest h of the skin under it, mm; negative if it is above the skin."""

@@ -16,7 +16,7 @@ from tacshade_edge.core.calibration.indenters import Indenter, place
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, frozen
 
 _ITERATIONS = 20
 # Touches that miss a sphere by more than the first (RMS, skin radii) are not of that skin; pictured places further than
@@ -139,7 +139,7 @@ class Touch:
     depth_mm: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FixedIndenter:
     """An indenter fixed in the base frame: a ball's centre, or another's lowest point (`ball_radius_mm` 0), and the
     pose of the sensor at the press with a stated place.
@@ -148,9 +148,6 @@ class FixedIndenter:
     point_mm: F64
     ball_radius_mm: float
     base_T_sensor: Rigid
-
-    def __post_init__(self) -> None:
-        freeze(self, "point_mm")
 
     def turned_deg(self, base_T_sensor: Rigid) -> float:
         """The angle between the sensor's orientation and that at the press with a stated place; degrees."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.calibration.indenters import SIDES, circle, level, surface
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, frozen
 
 STEM_RADIUS_MM, LENGTH_MM = 4.0, 45.0
 """Radius of every stem, and length of every indenter from its lowest point to the stem's end."""
@@ -20,7 +20,7 @@ _NECK = 0.6  # radius of a small ball's neck, in its radii
 _STEPS = 48  # rings of a shape that is round below
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Printable:
     """An indenter to print: its entry in INDENTERS.yaml, and its triangles (N, 3, 3), counter-clockwise from outside;
     the lowest point has z = 0, the stem points along z.
@@ -29,9 +29,6 @@ class Printable:
     name: str
     entry: Mapping[str, str | float]
     triangles_mm: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "triangles_mm")
 
 
 def printables() -> tuple[Printable, ...]:

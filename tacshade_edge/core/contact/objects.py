@@ -13,7 +13,7 @@ import numpy as np
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes
 from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.types import F32, F64, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
+from tacshade_edge.types import F32, F64, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, frozen
 
 TWIST_CELLS = 6
 """Least number of cells for a twist."""
@@ -79,7 +79,7 @@ def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Objects:
     """All objects in contact: their cells, their points ordered by label, their description (the largest first, at
     least one) and the volume displaced under them.
@@ -89,9 +89,6 @@ class Objects:
     cloud: ObjectCloud
     described: tuple[TouchedObject, ...]
     volume_mm3: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "contact")
 
 
 def contact_of(depth: Depth, inside: Bool) -> Bool:

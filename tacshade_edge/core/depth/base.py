@@ -9,7 +9,7 @@ from typing import Protocol
 from tacshade_edge.core.depth.sigma import SigmaModel
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
-from tacshade_edge.types import F32, Bool, freeze
+from tacshade_edge.types import F32, Bool, frozen
 
 Mark = Callable[[str], None]
 """Called with a stage's name at its end, so that a caller with a clock can time it."""
@@ -19,7 +19,7 @@ Features = list[F32]
 """Collects the features for a touch model, network by network."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Depth:
     """A solver's answer on its grid. `height_mm` is finite and not below 0, `contact` (None if only the heights show
     it) is False outside the disc, where else values are undefined; `repaired_px` counts values that were not finite,
@@ -34,12 +34,6 @@ class Depth:
     untrusted: Bool | None = None
     contact_logit: F32 | None = None
     untrusted_logit: F32 | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, "height_mm")
-        for name in ("contact", "untrusted", "contact_logit", "untrusted_logit"):
-            if getattr(self, name) is not None:
-                freeze(self, name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

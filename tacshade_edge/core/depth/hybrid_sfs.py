@@ -21,7 +21,6 @@ from tacshade_edge.types import F32, F64
 
 ITERATIONS = 25
 EPS = 2.2e-16
-MEDIAN_ROWS = 16
 
 C128 = npt.NDArray[np.complex128]
 
@@ -46,13 +45,15 @@ def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
     result upside down; this keeps the first, not the second. The denominators |N·L| of eqs. 4, 7 and 8 are read as
     |N||L|: as printed, the quotient could only be 1 or -1.
     """
+    from scipy.ndimage import median_filter  # only `paper` needs it
+
     finite = np.isfinite(g_hn)
     repaired = int(finite.size - np.count_nonzero(finite))
     with np.errstate(all="ignore"):  # overflow is normal for this method; it is repaired and counted below
         magnitude = np.abs(_iterate(np.where(finite, g_hn, 0.0).astype(np.complex128)))
     good = np.isfinite(magnitude)
     repaired += int(good.size - np.count_nonzero(good))
-    return _median3(np.where(good, magnitude, 0.0)), repaired
+    return median_filter(np.where(good, magnitude, 0.0), size=3, mode="nearest"), repaired
 
 
 def _iterate(image: C128) -> C128:
@@ -80,16 +81,6 @@ def _iterate(image: C128) -> C128:
         _backward(z, axis=1, out=p)
         _backward(z, axis=0, out=q)
     return z
-
-
-def _median3(values: F64) -> F64:
-    """3x3 median in float64, with the border repeated."""
-    padded = np.pad(values, 1, mode="edge")
-    median = np.empty_like(values)
-    for row in range(0, len(values), MEDIAN_ROWS):  # nine copies of a whole image would take most of a step's memory
-        windows = np.lib.stride_tricks.sliding_window_view(padded[row : row + MEDIAN_ROWS + 2], (3, 3))
-        median[row : row + MEDIAN_ROWS] = np.median(windows.reshape(*windows.shape[:2], 9), axis=-1)
-    return median
 
 
 def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:

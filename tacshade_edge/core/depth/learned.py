@@ -13,7 +13,6 @@ all its few channels for depth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import cast
 
 import cv2
@@ -24,7 +23,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
-from tacshade_edge.types import F32, Bool, Geometry, freeze
+from tacshade_edge.types import F32, Bool, Geometry, frozen
 
 KNOWN = 6
 """Number of maps of `disc_map.geometry_maps`."""
@@ -87,7 +86,7 @@ class LearnedShear:
         return cast(F32, cv2.resize(coarse, (cells, cells), interpolation=cv2.INTER_LINEAR))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Inverse:
     """The network's result for a frame: height h, sometimes slightly below 0 without contact, and the log odds of
     contact at the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows something other than this
@@ -97,9 +96,6 @@ class Inverse:
     height_mm: F32
     contact_logit: F32
     untrusted_logit: F32
-
-    def __post_init__(self) -> None:
-        freeze(self, "height_mm", "contact_logit", "untrusted_logit")
 
 
 class LearnedInverse:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from tacshade_edge.core.image.binarise import halved
 from tacshade_edge.core.image.median import median
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
+from tacshade_edge.types import F32, F64, U8, Bool, Disc, frozen
 
 # Three halvings make a block's mean; the first check of a frame lets two of them round.
 BLOCK_PX, HALVINGS, ROUNDED = 8, 3, 2
@@ -35,7 +34,7 @@ Box = tuple[slice, slice]
 Places = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class BlockCheck:
     """The reference in (rows, cols) blocks of 8x8 px, which cover the pixels `box`.
 
@@ -72,9 +71,6 @@ class BlockCheck:
     lit_at: Places
     per_lit: F32
     camera_px: int
-
-    def __post_init__(self) -> None:
-        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround", "lit_at", "per_lit")
 
 
 def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, U8, Disc, freeze
+from tacshade_edge.types import F32, U8, Disc, frozen
 
 # Pitch of the lattice of tracked points, the part of the disc that holds them, and the window of each, in pitches.
 _POINT_PITCHES, _RHO_MAX, _WINDOW_PITCHES = 1.0, 0.95, 2.0
@@ -31,7 +31,7 @@ SHIFT_PART, RIM_PART = 0.0035, 0.012
 LIGHT_LOW, LIGHT_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Look:
     """The appearance of a sensor, prepared for comparison.
 
@@ -52,9 +52,6 @@ class Look:
     points: F32
     level: F32
     contrast: F32
-
-    def __post_init__(self) -> None:
-        freeze(self, "grey", "points", "level", "contrast")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.image.median import median
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, U8, Bool, freeze
+from tacshade_edge.types import F32, U8, Bool, frozen
 
 # Two frames meet at a row that differs from the next by this much more than its neighbours do, in medians of all rows,
 # and more than in the reference (good frames reach 1.9).
@@ -19,7 +18,7 @@ ROW_PX = 60
 BANDS, BAND_SPIKE = 4, 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Rows:
     """The disc's n rows of at least ROW_PX pixels that have a next row.
 
@@ -44,19 +43,13 @@ class _Rows:
     width_px: F32
     step: U8
 
-    def __post_init__(self) -> None:
-        freeze(self, "mask", "width_px")
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class TearCheck:
     """The disc's long rows, and the `_spikes` of the reference."""
 
     rows: _Rows
     usual: F32
-
-    def __post_init__(self) -> None:
-        freeze(self, "usual")
 
 
 def tear_check(reference_grey: U8, mask: Bool) -> TearCheck | None:

@@ -7,7 +7,6 @@ limit instead of a median, blocks of rounded means instead of the pixels. Frames
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_reas
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.median import percentile
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
+from tacshade_edge.types import U8, Bool, Calibration, Disc, frozen
 
 # A working camera never shows a disc this dark or this flat (grey levels), or with half its reference's deviation.
 BLACK_LEVEL = 12.0
@@ -42,7 +41,7 @@ BRIGHT_PART = 0.1
 Box = tuple[slice, slice]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FrameCheck:
     """The properties of a good frame of one sensor.
 
@@ -93,9 +92,6 @@ class FrameCheck:
     tear: TearCheck | None
     blocks: BlockCheck | None
     camera_px: int
-
-    def __post_init__(self) -> None:
-        freeze(self, "mask", "pairs", "sampled")
 
 
 def frame_check(

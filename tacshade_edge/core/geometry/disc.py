@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ...types import F32, Bool, Disc, Geometry, freeze
+from ...types import F32, Bool, Disc, Geometry, frozen
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -67,7 +67,7 @@ def _cells(first: int, size: int, step: int) -> tuple[int, int]:
     return cell, (first + size - 1 - cell) // step + 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DiscRays:
     """The ray of each cell of a grid, and whether its pixel lies in the visible disc. u, v are the slope of a pinhole's
     ray (mm per mm of z); orthographic, the ray's x and y in mm.
@@ -76,9 +76,6 @@ class DiscRays:
     inside: Bool
     u: F32
     v: F32
-
-    def __post_init__(self) -> None:
-        freeze(self, "inside", "u", "v")
 
     def part(self, cells: tuple[slice, slice]) -> DiscRays:
         """The rays of a range of rows and columns of the grid."""

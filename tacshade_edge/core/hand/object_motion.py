@@ -29,7 +29,7 @@ from tacshade_edge.core.hand.link import (
     stack,
 )
 from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, frozen
 
 UNSEEN_MM_S: Final = 10.0
 """Growth of the deviation of an unobserved direction, up to `UNKNOWN_SD_MM`, that a link passes to the next: 29
@@ -56,7 +56,7 @@ class Unobserved:
     through_mm: tuple[float, float, float] | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ObjectMotion:
     """A point of the object at p in the hand's frame at the grasp, `since_ns`, is now at R (p - about) + about +
     translation, with R of a rotation vector; the covariance (6, 6) is of the translation in mm and a small rotation
@@ -69,9 +69,6 @@ class ObjectMotion:
     rotation_rad: F64
     covariance: F64
     unobserved: tuple[Unobserved, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "about_mm", "translation_mm", "rotation_rad", "covariance")
 
     def rigid(self) -> Rigid:
         """The motion as a transform of all points of the hand's frame."""

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.greyscale import Denoiser
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.image.total_variation import chambolle
-from tacshade_edge.types import F32, Bool, freeze
+from tacshade_edge.types import F32, Bool, frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class GreyMaps:
     """The maps of one image on one grid.
 
@@ -30,9 +28,6 @@ class GreyMaps:
     g0: F32
     g_d: F32
     inside: Bool
-
-    def __post_init__(self) -> None:
-        freeze(self, "g", "g0", "g_d", "inside")
 
 
 class GreyMapper:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.geometry.disc import Grid, Window
-from tacshade_edge.types import F32, I32, U8, freeze
+from tacshade_edge.types import F32, I32, U8, frozen
 
 Total = npt.NDArray[np.int32] | npt.NDArray[np.float64]
 
@@ -17,7 +15,7 @@ _EXACT = 2**31
 """Integrals below this are exact in int32."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class IntegralImage:
     """The integral image of a window's pixels, with zeros around them.
 
@@ -30,9 +28,6 @@ class IntegralImage:
     """
 
     total: Total
-
-    def __post_init__(self) -> None:
-        freeze(self, "total")
 
 
 class Integrator:

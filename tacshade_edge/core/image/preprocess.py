@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -15,7 +13,7 @@ from tacshade_edge.core.image.halving import grid_of_whole, halved_calibration, 
 from tacshade_edge.core.image.integral_image import BoxSums, IntegralImage, Integrator
 from tacshade_edge.core.image.median import median
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import F32, I32, U8, Bool, Calibration, freeze
+from tacshade_edge.types import F32, I32, U8, Bool, Calibration, frozen
 
 # Cells do not vote if the rim cuts their window below this part of its full size: there a camera shift shows.
 VOTING_WINDOW_PART = 0.75
@@ -23,7 +21,7 @@ VOTING_WINDOW_PART = 0.75
 CLEAR_WINDOW_PART = 0.25
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Preprocessed:
     """The result of preprocessing an image.
 
@@ -46,9 +44,6 @@ class Preprocessed:
     drift_grey: float
     white: IntegralImage
     unseen: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "g", "g_d")
 
 
 class Preprocessor:

@@ -13,7 +13,6 @@ solved for but considered in the covariance (Schmidt, "Application of state-spac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -26,7 +25,7 @@ from tacshade_edge.core.stitching.flange_equations import (
     NormalEquations,
 )
 from tacshade_edge.rigid import Rigid, of_pose
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, frozen
 
 ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
 """Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin,
@@ -50,7 +49,7 @@ SEEN_MM, SEEN_DEG, SEEN_MS = 2.0, 2.5, 10.0
 _SPREAD_DEG = 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FoundFlange:
     """The result of `find_flange`: pose, delay, covariance (7, 7) in the order of `ORDER`, and RMS of the height
     differences left.
@@ -60,9 +59,6 @@ class FoundFlange:
     delay_ms: float
     covariance: F64
     left_mm: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "covariance")
 
 
 def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> FoundFlange:

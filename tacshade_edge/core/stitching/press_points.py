@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,7 +11,7 @@ from tacshade_edge.core.contact.objects import bounding_box
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays, radius_squared
 from tacshade_edge.rigid import Rigid
-from tacshade_edge.types import F32, F64, Geometry, HeightMap, freeze
+from tacshade_edge.types import F32, F64, Geometry, HeightMap, frozen
 
 REST_NS = 300_000_000
 STEADY_MM = 0.06
@@ -60,7 +59,7 @@ class RestDetector:
         return True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PressPoints:
     """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit normals there, and a
     confidence above 0, up to 1.
@@ -69,9 +68,6 @@ class PressPoints:
     points_mm: F32
     normals: F32
     confidence: F32
-
-    def __post_init__(self) -> None:
-        freeze(self, "points_mm", "normals", "confidence")
 
 
 NO_POINTS = PressPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.types import F32, F64, I64, freeze
+from tacshade_edge.types import F32, F64, I64, frozen
 
 STEP_MM = 0.25
 """About the size of the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls."""
@@ -24,7 +24,7 @@ MIN_WEIGHT = 0.07
 """A cell of less weight lies outside the contact."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Raster:
     """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step; NaN where no press
     touched.
@@ -34,9 +34,6 @@ class Raster:
     x0_mm: float
     y0_mm: float
     step_mm: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "z_mm")
 
     def bands(self) -> Iterator[Raster]:
         """The same raster in bands of `BAND_ROWS`, so that processing a large map needs little extra memory."""

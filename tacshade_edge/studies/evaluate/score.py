@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.truth import Truth
-from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, freeze
+from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, frozen
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
 """The points of an untouched skin."""
@@ -42,7 +42,7 @@ def contact_iou(found: Bool, true: Bool) -> float:
     return 1.0 if union == 0 else np.count_nonzero(found & true) / union
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class KnownTruth:
     """The ground truth of a frame: skin points in contact, the greatest h over the disc, and the contact if known.
 
@@ -55,9 +55,6 @@ class KnownTruth:
     row0: float = 0.0
     col0: float = 0.0
     step_px: float = 1.0
-
-    def __post_init__(self) -> None:
-        freeze(self, "points_mm", *(("contact",) if self.contact is not None else ()))
 
     @classmethod
     def of(cls, true: Truth) -> KnownTruth:

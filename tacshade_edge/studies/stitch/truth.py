@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.npz import read_arrays
-from tacshade_edge.types import F32, F64, U8, freeze
+from tacshade_edge.types import F32, F64, U8, frozen
 
 _STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
 _BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
@@ -25,16 +25,13 @@ _STEP_MIN_MM, _PLACE_MAX_MM = 0.001, 1e6
 _END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class KnownSurface:
     """A known surface, the contents of PAD.npz."""
 
     raster: Raster
     bars_mm: F64  # (N, 5) straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be empty
     circles_mm: F64  # (M, 4) ring bulges: x, y, radius of the middle line, width; may be empty
-
-    def __post_init__(self) -> None:
-        freeze(self, "bars_mm", "circles_mm")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.observation import PressObservation, first_touch_mm, with_stated_place
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.types import F64, Geometry, freeze
+from tacshade_edge.types import F64, Geometry, frozen
 
 OUTLIER_DEVIATIONS = 4.0
 """A press is an outlier beyond this many standard deviations of all presses."""
@@ -49,7 +49,7 @@ _LARGER_MISFIT_RATIO = 4.0
 _LEAST_PRESSES = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LeftOut:
     """The residual (N,) of each press from the fit without it: predicted less stated travel, and its size in robust
     standard deviations of all presses, less if the press dominates the fit.
@@ -57,9 +57,6 @@ class LeftOut:
 
     error_mm: F64
     deviations: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "error_mm", "deviations")
 
 
 def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> LeftOut:

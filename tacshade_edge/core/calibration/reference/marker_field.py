@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
-from tacshade_edge.types import F32, F64, U8, Disc, freeze
+from tacshade_edge.types import F32, F64, U8, Disc, frozen
 
 # The search for blobs shrinks the shorter side to this, and takes extrema of both signs of the difference of two
 # Gaussians (D. Marr and E. Hildreth, 1980) at these sizes.
@@ -32,7 +30,7 @@ _HEXAGON = 3**0.5 / 2
 """Area of a lattice cell, in squared pitches."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class MarkerField:
     """The markers, or pins, of one image: rows and columns (N, 2), N at least `LEAST_MARKERS`; the median distance to
     the three nearest; the smallest circle around all, plus half a pitch.
@@ -41,9 +39,6 @@ class MarkerField:
     markers_px: F64
     pitch_px: float
     circle: Disc
-
-    def __post_init__(self) -> None:
-        freeze(self, "markers_px")
 
     def holds(self, disc: Disc) -> bool:
         """Whether nearly all markers lie in a circle."""
