@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 
 from tacshade_edge.core.image.median import median
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, U8, Bool, frozen
+from tacshade_edge.types import F32, U8, Bool, freeze, frozen
 
 # Two frames meet at a row that differs from the next by this much more than its neighbours do, in medians of all rows,
 # and more than in the reference (good frames reach 1.9).
@@ -18,7 +19,7 @@ ROW_PX = 60
 BANDS, BAND_SPIKE = 4, 0.5
 
 
-@frozen
+@dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """The disc's n rows of at least ROW_PX pixels that have a next row.
 
@@ -42,6 +43,9 @@ class _Rows:
     mask: U8
     width_px: F32
     step: U8
+
+    def __post_init__(self) -> None:
+        freeze(self, "mask", "width_px")
 
 
 @frozen

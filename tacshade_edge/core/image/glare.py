@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from tacshade_edge.core.image.binarise import padded
 from tacshade_edge.core.image.median import percentile
-from tacshade_edge.types import U8, frozen
+from tacshade_edge.types import U8, freeze
 
 # Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is enough), except under
 # glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by GLARE_PART of the reference's range from
@@ -24,7 +25,7 @@ GLARE_PX = 6
 GLARE_HALO_PITCHES = 1.0
 
 
-@frozen
+@dataclass(frozen=True, slots=True, eq=False)
 class GlareCheck:
     """The appearance of a sensor without glare, inside the window of its disc.
 
@@ -52,6 +53,9 @@ class GlareCheck:
     halo: U8
     whole: U8
     bright: U8
+
+    def __post_init__(self) -> None:
+        freeze(self, "inside", "darkest", "brightest", "box", "halo")
 
 
 def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
