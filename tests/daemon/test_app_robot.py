@@ -1,104 +1,272 @@
-"""The daemon with a robot: poses in height maps, commands, what is published of the line."""
+"""The daemon with a robot: poses in height maps, commands, and a pad that it presses into a map."""
 
 from __future__ import annotations
 
 import json
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
+from support.running_app import NEEDS_BROKER, Live, paced
 
-from tacshade_edge.daemon.app import App
+from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
-from tacshade_edge.settings import load
+from tacshade_edge.protocol.serial.pose import PoseValues
+from tacshade_edge.simulator.pad import Bar, Pad, scan
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.storage.stitching.stitch_file import StitchFile
 from tacshade_edge.storage.tables.frame_table import read_table
-from tacshade_edge.types import Calibration
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
+from tacshade_edge.types import U8
+from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot, motion
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
-BASE = "tacshade/hand-1"
+pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+PAD = Pad(12.0, 4.0, (Bar(2.0, 2.0, 10.0, 2.0, 3.0),))
+HOME: PoseValues = (0.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0)
+DEADLINE_S = 60.0
 
 
-def stream(pictures: Any, touched: threading.Event) -> Iterator[Any]:
-    pause = threading.Event()
-    while True:
-        yield pictures.touched if touched.is_set() else pictures.free
-        yield lambda: pause.wait(0.02)
+@pytest.fixture
+def link() -> Iterator[Path]:
+    """A place under /dev, as the settings want, that needs no root."""
+    path = Path(f"/dev/shm/tacshade-app-{os.getpid()}")
+    yield path
+    path.unlink(missing_ok=True)
 
 
-def test_poses_and_commands_from_the_line_to_a_subscriber(
-    tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
-) -> None:
-    link = Path(f"/dev/shm/tacshade-app-{os.getpid()}")
-    path = tmp_path / "settings.yaml"
+def test_poses_and_commands_from_the_line_to_a_subscriber(live: Live, link: Path, pictures: Any, scripted: Any) -> None:
     touched = threading.Event()
+
+    def stream() -> Iterator[Any]:
+        while True:
+            yield from paced(pictures.touched if touched.is_set() else pictures.free, 1)
+
+    def assert_near(pose: Any, t_ns: int, slack_mm: float) -> None:
+        assert (pose.x_mm, pose.y_mm) == pytest.approx(motion(t_ns / 1e9 - robot.began_s)[:2], abs=slack_mm)
+
+    def answer(text: str) -> str:
+        before = len(robot.answers)
+        robot.ask(text)
+        wait_until(lambda: robot.answers[before:], 15, f"an answer to {text}")
+        return robot.answers[before]
+
     with (
-        Broker(tmp_path) as broker,
-        Subscriber(broker.port) as seen,
         PtyRobot(link, rate_hz=200, binary=True) as robot,
+        live.run(scripted(stream()), f"serial: {{device: {link}}}\n"),
     ):
-        path.write_text(
-            f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
-            f"serial: {{device: {link}}}\nrecorder: {{folder: recs}}\n"
-        )
-        app = App(load(path), scripted(stream(pictures, touched)), calibration)
-        thread = threading.Thread(target=app.run)
-        thread.start()
-        try:
-
-            def last(topic: str) -> Any:
-                payloads = seen.of(f"{BASE}/{topic}")
-                return json.loads(payloads[-1]) if payloads else {}
-
-            wait_until(lambda: last("status/serial").get("sync") == "two-way", 15, "synchronised")
-            status = last("status/serial")
-            assert (status["state"], status["reason"], status["mode"]) == ("connected", "", "BIN")
-            assert status["device"] == str(link)
-
-            def answer(text: str) -> str:
-                before = len(robot.answers)
-                robot.ask(text)
-                wait_until(lambda: robot.answers[before:], 15, f"an answer to {text}")
-                return robot.answers[before]
-
-            assert "frames=10 calibration_crc32=" in answer("REFERENCE")
-            assert "camera=streaming fps=" in answer("STATUS")
-            touched.set()
-            wait_until(lambda: any(wire.decode(p).pose for p in seen.of(f"{BASE}/height")), 10, "a pose")
-            assert " contact=1 depth_mm=" in answer("CAPTURE")
-            refused = answer("REFERENCE")
-            assert refused.startswith("ERR")
-            assert "found a contact" in refused
-            heights = [message for p in seen.of(f"{BASE}/height") if (message := wire.decode(p)).pose]
-            for message in heights:
-                assert message.pose is not None
-                truth = motion(message.t_ns / 1e9 - robot.began_s)
-                slack_mm = 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02
-                assert (message.pose.x_mm, message.pose.y_mm) == pytest.approx(truth[:2], abs=slack_mm)
+        status = live.until("status/serial", sync="two-way")
+        assert (status["state"], status["reason"], status["mode"]) == ("connected", "", "BIN")
+        assert status["device"] == str(link)
+        assert "frames=10 calibration_crc32=" in answer("REFERENCE")
+        assert "camera=streaming fps=" in answer("STATUS")
+        touched.set()
+        wait_until(lambda: any(wire.decode(p).pose for p in live.payloads("height")), 10, "a pose")
+        assert " contact=1 depth_mm=" in answer("CAPTURE")
+        refused = answer("REFERENCE")
+        assert refused.startswith("ERR")
+        assert "found a contact" in refused
+        for message in map(wire.decode, live.payloads("height")):
+            if message.pose is not None:
+                assert_near(message.pose, message.t_ns, 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02)
                 assert 0 < message.pose_error_us < 100_000
-            request = {"action": "start", "seconds": 60, "name": "r"}
-            seen.publish(f"{BASE}/req/record", json.dumps(request).encode())
-            wait_until(lambda: last("status/recorder").get("frames", 0) > 10, 15, "a recording")
-            seen.publish(f"{BASE}/req/record", b'{"action": "stop"}')
-            wait_until(lambda: last("status/recorder").get("state") == "idle", 10, "its end")
-            rows = [row for row in read_table(tmp_path / "recs" / "r" / "frames.csv") if row.pose]
-            assert rows
-            for row in rows:
-                assert row.pose is not None
-                truth = motion(row.t_ns / 1e9 - robot.began_s)
-                assert (row.pose.x_mm, row.pose.y_mm) == pytest.approx(truth[:2], abs=0.3)
-            wait_until(lambda: last("health").get("serial", {}).get("frames_with_pose", 0) > 0, 10, "health")
-            robot.unplug()
-            wait_until(lambda: last("status/serial")["state"] == "away", 10, "away")
-            robot.plug()
-            wait_until(lambda: last("status/serial")["state"] == "connected", 10, "connected")
-        finally:
-            app.stop()
-            thread.join(patience(10))
-        assert not thread.is_alive()
-    link.unlink(missing_ok=True)
+        assert live.ask("record", action="start", seconds=60, name="r")["ok"]
+        wait_until(lambda: live.last("status/recorder").get("frames", 0) > 10, 15, "a recording")
+        assert live.ask("record", action="stop")["ok"]
+        rows = [row for row in read_table(live.folder / "recs" / "r" / "frames.csv") if row.pose]
+        assert rows
+        for row in rows:
+            assert_near(row.pose, row.t_ns, 0.3)
+        wait_until(lambda: live.last("health").get("serial", {}).get("frames_with_pose", 0) > 0, 10, "health")
+        robot.unplug()
+        live.until("status/serial", state="away")
+        robot.plug()
+        live.until("status/serial", state="connected")
+
+
+@cache
+def presses() -> list[tuple[PoseValues, U8]]:
+    """Where the robot goes down, and what the sensor sees there."""
+    found = []
+    for k, pose in enumerate(scan(PAD, 4.0, 2.5, HALF.skin_radius_mm)[:4]):
+        shape = PAD.under(pose, HALF.skin_radius_mm)
+        found.append((pose.seven(), simulated().frame((Press(shape, 0.0, 0.0, 0.0),), 70 + k).image))
+    return found
+
+
+class Cell:
+    """Robot, sensor, daemon, broker and subscriber; the test says where the robot is and what the sensor sees."""
+
+    def __init__(self, live: Live, link: Path, scripted: Any) -> None:
+        self.live, self.last = live, live.last
+        self._scripted = scripted
+        self._closing = ExitStack()
+        self.place, self.shown, self.frames = HOME, unloaded(), threading.Event()
+        self.robot = self._closing.enter_context(PtyRobot(link, rate_hz=100, binary=True, where=lambda _: self.place))
+        self._settings = live.document(f"profile: fast\nserial: {{device: {link}}}\nstitching: {{folder: maps}}\n")
+        self._start()
+
+    def _start(self) -> None:
+        self._app = self.live.run(self._scripted(self._stream()), self._settings, calibrated())
+        self.until(lambda: self.last("status/serial").get("sync") == "two-way", "synchronised")
+
+    def _stop(self) -> None:
+        self.frames.set()
+        self._app.end()
+
+    def restart(self) -> None:
+        """Another daemon of the same settings."""
+        self._stop()
+        self.live.seen.messages.clear()
+        self._start()
+
+    def close(self) -> None:
+        self._stop()
+        self._closing.close()
+
+    def _stream(self) -> Iterator[Any]:
+        pause = threading.Event()
+        yield self.frames.wait
+        while True:
+            yield self.shown
+            yield lambda: pause.wait(0.02)
+
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        try:
+            wait_until(condition, DEADLINE_S, what)
+        except AssertionError as error:
+            known = {topic: self.last(topic) for topic in ("status/serial", "status/stitching", "health")}
+            raise AssertionError(f"{error}; {known}; the robot: {self.robot.told} {self.robot.events}") from None
+
+    def ask(self, verb: str, **request: Any) -> Any:
+        """The result of a request, or its error."""
+        answer = self.live.ask(verb, **request)
+        return answer["result"] if answer["ok"] else answer["error"]
+
+    def command(self, text: str) -> str:
+        """The answer on the serial line."""
+        before = len(self.robot.answers)
+        self.robot.ask(text)
+        self.until(lambda: self.robot.answers[before:], text)
+        return self.robot.answers[before]
+
+    def go(self, pose: PoseValues) -> None:
+        """Lift, and move; the robot has told of it for a while when this returns."""
+        self.shown = unloaded()
+        self.until(lambda: self.last("contact").get("contact") == 0, "lifted")
+        self.place = pose
+        told = self.robot.told.poses
+        self.until(lambda: self.robot.told.poses > told + 30, "told")
+
+    def status(self) -> Any:
+        return self.last("status/stitching")
+
+    def press(self, pose: PoseValues, image: U8, count: int) -> None:
+        """Press and hold until that is added; again, where a starved robot's line told no pose for that instant."""
+        missed = self.status()["missed"]
+        self.go(pose)
+        self.shown = image
+        self.until(
+            lambda: self.status()["presses"] == count or self.status()["missed"] > missed,
+            f"press {count}, {self.status()}",
+        )
+        if self.status()["missed"] > missed:
+            assert self.status()["reason_code"] == "no_pose"
+            self.press(pose, image, count)
+
+
+@pytest.fixture
+def cell(live: Live, link: Path, scripted: Any) -> Iterator[Cell]:
+    presses()  # drawn before the robot's clock runs
+    calibrated()
+    made = Cell(live, link, scripted)
+    yield made
+    made.close()
+
+
+def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> None:
+    assert cell.status() == {
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0},
+        **{"points": 0, "revision": 0, "missed": 0, "folder": ""},
+    }
+    assert cell.ask("stitch", action="add") == "NOSESSION: no session is open; begin one first"
+    folder = Path(cell.ask("record", action="start", seconds=600, name="r")["folder"])
+    cell.frames.set()
+    cell.until(lambda: cell.last("contact"), "a frame")
+    assert cell.ask("stitch", action="begin", name="1") == {"name": "1"}
+    cell.until(lambda: cell.status()["state"] == "open", "open")
+    for k, (pose, image) in enumerate(presses()):
+        cell.press(pose, image, k + 1)
+    cell.go(HOME)
+    missed = cell.status()["missed"]
+    status = cell.ask("stitch", action="status")
+    assert (status["open"], status["name"], status["presses"], status["revision"]) == (1, "1", 4, 4)
+    assert " BUSY session 1 is open" in cell.command("STITCH BEGIN other")
+    ended = cell.ask("stitch", action="end")
+    assert (ended["name"], ended["presses"], ended["used"], ended["refined"]) == ("1", 4, 4, 0)
+    cell.until(lambda: cell.status()["state"] == "idle", "idle")
+    final = cell.last("map/final")
+    cell.until(lambda: cell.last("health")["stitching"]["presses"] == 4, "health")
+    assert cell.last("health")["stitching"] == {"presses": 4, "refused": 1, "missed": missed, "waiting": 0}
+    cell.ask("record", action="stop")
+
+    words = ["stitch", "--calibration", str(folder / "calibration.npz"), "--profile", "fast"]
+    assert main([*words, "--recording", str(folder), "--out", str(tmp_path / "offline")]) == 0
+    live, offline = Path(final["folder"]), tmp_path / "offline"
+    assert live == tmp_path / "maps" / "1"
+    # If a pose came too late for a press, the live map misses it and says so; the recording has waited for the pose.
+    for name in () if missed else ("map.ply", "map.png", "map.npz", "preview.png"):
+        assert (live / name).read_bytes() == (offline / name).read_bytes(), name
+    _, added = StitchFile.resume(live)
+    for (_, base_T_sensor), (pose, _) in zip(added, presses(), strict=True):  # the sensor is the flange
+        np.testing.assert_allclose(base_T_sensor.seven()[:3], pose[:3], atol=1e-5)  # binary poses are float32
+        assert abs(np.dot(base_T_sensor.seven()[3:], pose[3:])) == pytest.approx(1, abs=1e-6)
+    with np.load(live / "map.npz") as npz:
+        known = np.isfinite(npz["z_mm"])
+        assert (final["presses"], final["used"], final["revision"], final["name"]) == (4, 4, 5, "1")
+        assert final["area_mm2"] == np.count_nonzero(known) * npz["step_mm"] ** 2 > 50
+        rows, cols = np.nonzero(known)
+        x_mm, y_mm = npz["x0_mm"] + cols * npz["step_mm"], npz["y0_mm"] + rows * npz["step_mm"]
+        expected = np.column_stack((x_mm, y_mm, npz["z_mm"][known])).astype(np.float32)
+    cloud = wire.decode(cell.live.payloads("map/cloud")[-1])
+    assert isinstance(cloud, wire.CloudMessage)
+    assert cloud.seq == 5
+    np.testing.assert_array_equal(cloud.points_mm, expected)
+
+
+def test_a_session_outlives_the_cable_and_the_daemon(cell: Cell, tmp_path: Path) -> None:
+    (first, image), (second, _), (third, _), _ = presses()
+    cell.frames.set()
+    cell.until(lambda: cell.last("contact"), "a frame")
+    assert "OK" in cell.command("STITCH BEGIN pad")
+    cell.until(lambda: cell.status()["state"] == "open", "open")
+    cell.press(first, image, 1)
+
+    cell.go(second)
+    missed = cell.status()["missed"]
+    cell.robot.unplug()
+    cell.until(lambda: cell.status()["reason"] == "the robot's pose is unknown, so no press can be added", "the gap")
+    cell.shown = image
+    cell.until(lambda: cell.status()["missed"] > missed, "a press without a pose")
+    cell.shown = unloaded()
+    cell.robot.plug()
+    cell.until(lambda: cell.status()["reason"].endswith("the robot's pose at the frame's time is unknown"), "the pose")
+    cell.until(lambda: any(e.startswith("GAP poses=") for e in cell.robot.events), "EVT GAP")
+    cell.press(second, image, 2)
+    cell.until(lambda: cell.status()["reason"] == "", "well again")
+
+    cell.go(HOME)
+    cell.restart()
+    assert (cell.status()["state"], cell.status()["name"], cell.status()["presses"]) == ("open", "pad", 2)
+    cell.press(third, image, 3)
+    answer = cell.command("STITCH END")
+    assert "name=pad presses=3 used=3 refined=" in answer
+    about = json.loads((tmp_path / "maps" / "pad" / "map.json").read_text())
+    assert (len(about["presses"]), about["used"]) == (3, 3)
+    cell.until(lambda: cell.last("map/final").get("presses") == 3, "told")

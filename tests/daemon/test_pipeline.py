@@ -374,16 +374,7 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
     assert (counts["captured"], counts["published"], counts["without_contact"], counts["invalid"]) == (4, 1, 2, 1)
     assert counts["pending"] == 0
     stages = timings.percentiles()
-    assert set(stages) == {
-        "wait",
-        "check",
-        "grey",
-        "gate",
-        "depth",
-        "cloud",
-        "deliver",
-        "latency",
-    }
+    assert set(stages) == {"wait", "check", "grey", "gate", "depth", "cloud", "deliver", "latency"}
     assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
 
 

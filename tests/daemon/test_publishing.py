@@ -149,18 +149,6 @@ def test_shear_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     assert need("shear", "sigma") is need("sigma", always=True) is Need.SHEAR | Need.SIGMA
 
 
-def test_errors_go_out_while_they_have_a_subscriber_and_once_more_at_release(
-    calibration: Calibration, pictures: Any
-) -> None:
-    images = [pictures.free, pictures.touched, pictures.touched, pictures.free, pictures.free]
-    played = Played(calibration, images, ("sigma",))
-    assert played.seqs("sigma") == [1, 2, 3]
-    contact, _, released = played.decoded("sigma")
-    assert np.isfinite(contact.sigma_mm).any()
-    assert np.isnan(released.sigma_mm).all()
-    assert Played(calibration, images, ("height",)).seqs("sigma") == []
-
-
 def test_a_touch_goes_out_while_it_has_a_subscriber_and_once_more_at_release(
     calibration: Calibration, pictures: Any
 ) -> None:

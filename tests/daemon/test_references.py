@@ -107,15 +107,6 @@ def test_ten_frames_of_a_sensor_at_rest_once_a_minute(stream: Stream, pictures: 
     assert stream.frames.discarded == 0
 
 
-def test_none_are_taken_while_the_last_ones_wait(stream: Stream, pictures: Any) -> None:
-    stream.show(pictures.free, REST_S + 3 * PERIOD_S)
-    first = stream.frames.take()
-    assert isinstance(first, list)
-    assert stream.frames.take() is None
-    stream.show(pictures.free, BATCH_S + 0.2)
-    assert stream.taken() == UNTOUCHED_FRAMES
-
-
 @pytest.mark.parametrize("how", ["touched", "black"])
 @pytest.mark.parametrize("glance", [False, True])
 def test_a_touch_or_an_invalid_frame_ends_the_rest(stream: Stream, pictures: Any, how: str, glance: bool) -> None:
@@ -141,15 +132,6 @@ def test_nobody_knows_what_touched_while_no_frame_came(stream: Stream, pictures:
     assert stream.taken() is None
 
 
-def test_a_frame_in_doubt_tells_its_doubt(stream: Stream, pictures: Any) -> None:
-    stream.show(pictures.free, REST_S + BATCH_S / 2)
-    stream.show(pictures.free, 0.1, DOUBT)
-    assert stream.taken() == DOUBT
-    assert stream.frames.discarded == 1
-    stream.show(pictures.free, PERIOD_S - 1)
-    assert stream.taken() is None
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "calibration.reference.npz"
@@ -170,18 +152,6 @@ def test_what_was_requested_is_restored(
     assert before_ns <= again.wall_ns <= time.time_ns()
     assert again.calibrated is calibration
     assert [record.levelname for record in caplog.records] == ["INFO", "INFO"]
-
-
-def test_without_a_stored_one_it_is_the_calibrations(
-    calibration: Calibration, path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    origin = restored(calibration, path)
-    assert origin.calibration is calibration
-    assert origin.as_dict() == {
-        **{"origin": "calibration", "wall_ns": None, "calibration_crc32": calibration.crc32},
-        **{"reason": "", "reason_code": ""},
-    }
-    assert caplog.records == []
 
 
 def test_another_calibration_makes_it_void_and_says_so_once(

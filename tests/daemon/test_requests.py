@@ -82,12 +82,6 @@ def test_auto_needs_a_budget(asked: Asked) -> None:
     assert asked.replies[2]["error"] == f"profile: found slow, expected one of {', '.join(PROFILES)}, auto"
 
 
-def test_a_record_request_is_passed_on(asked: Asked) -> None:
-    asked.requests.handle(Request("record", action="stop"))
-    assert [request.action for request in asked.records] == ["stop"]
-    assert asked.replies == []
-
-
 def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictures: Any) -> None:
     before = asked.active.reconstructor
     asked.requests.handle(Request("reference", transaction=5))

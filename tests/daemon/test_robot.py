@@ -394,13 +394,6 @@ def test_what_is_refused(bench: Bench) -> None:
     assert bench.ask("TOUCH ON depth_mm") == "ERR 5 UNCALIBRATED not calibrated: do that"
 
 
-def test_a_refused_one_leaves_the_one_before(bench: Bench) -> None:
-    assert bench.ask("TOUCH ON depth_mm 30") == "OK 1 on=1 rate_hz=30"
-    assert "REFUSED" in bench.ask("TOUCH ON force_z_n 500")
-    bench.show(touched(1, 1.0))
-    assert bench.line() == "EVT TOUCH 1 1000000000 depth_mm=1.000"
-
-
 @pytest.mark.slow
 def test_a_robot_that_reads_late_gets_the_newest(bench: Bench) -> None:
     assert bench.ask("TOUCH ON depth_mm 100") == "OK 1 on=1 rate_hz=100"

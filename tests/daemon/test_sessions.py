@@ -24,7 +24,6 @@ from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon import session as map_publisher
-from tacshade_edge.daemon import session_worker
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session, thinned_points
 from tacshade_edge.daemon.session_worker import SessionRequests, SessionWorker
@@ -126,27 +125,6 @@ def begun(folder: Path, name: str = "pad") -> Session:
     for k, pose in enumerate(POSES):
         assert session.add(press_of(pose, k), pose, 10 + k) == PressAdded(k + 1, 10 + k, 600)
     return session
-
-
-def test_a_session_is_resumed_as_it_was(tmp_path: Path) -> None:
-    assert Session.resume(tmp_path, "left") is None
-    session = begun(tmp_path)
-    session.close()
-    again = Session.resume(tmp_path, "left")
-    assert again is not None
-    assert again.status(0) == session.status(0)
-    (ended, final), (_, other) = session.finish(2), again.finish(2)
-    assert (ended.name, ended.presses, ended.used) == ("pad", 3, 3)
-    assert (final.revision, final.folder) == (4, str(tmp_path / "pad"))
-    np.testing.assert_array_equal(final.raster().z_mm, other.raster().z_mm)
-    about = json.loads((tmp_path / "pad" / "map.json").read_text())
-    assert (about["used"], about["missed"]) == (3, 2)
-    assert [record["press"] for record in about["presses"]] == [1, 2, 3]
-    for record in about["presses"]:
-        assert set(record) == {"press", "used", "reason", "points", "moved_mm", "turned_deg"}
-        assert record["used"]
-        assert record["points"] > 0
-    assert Session.resume(tmp_path, "left") is None
 
 
 def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> None:
@@ -435,20 +413,6 @@ def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytes
     assert code(wait(answers)) == ReasonCode.TIMEOUT
 
 
-def test_settled_contacts_are_added_by_themselves(
-    tmp_path: Path, ball: Reconstruction, nothing: Reconstruction
-) -> None:
-    robot = Robot(tmp_path, automatic=True)
-    robot.show(nothing)
-    robot.ask("BEGIN")
-    start_ns = time.monotonic_ns()
-    for k in range(60):
-        touching = k % 30 >= 10
-        robot.show(ball if touching else nothing, t_ns=start_ns + k * 33_000_000)
-    assert status(robot).presses == 2
-    robot.end()
-
-
 def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
     robot.show(ball)
     robot.ask("BEGIN", "x")
@@ -458,20 +422,6 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     assert code(wait(waiting)) == ReasonCode.NO_SESSION
     assert [path.name for path in (tmp_path / "sessions").iterdir()] == [".owner"]
     assert code(robot.ask("BEGIN", "x")) is None
-
-
-@pytest.mark.parametrize("action", ["END", "ABORT"])
-def test_what_a_session_took_goes_back_to_the_system(
-    robot: Robot, ball: Reconstruction, action: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    returned: SimpleQueue[None] = SimpleQueue()
-    monkeypatch.setattr(session_worker, "return_free_memory", lambda: returned.put(None))
-    robot.show(ball)
-    robot.ask("BEGIN", "x")
-    assert isinstance(robot.add(ball), PressAdded)
-    assert returned.empty()
-    robot.ask(action)
-    returned.get(timeout=patience(DEADLINE_S))
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
@@ -519,14 +469,6 @@ def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path
     robot.end()
 
 
-def test_a_touch_of_nothing_is_no_press(robot: Robot, ball: Reconstruction) -> None:
-    robot.show(ball)
-    robot.ask("BEGIN")
-    height = replace(ball.height, contact=np.zeros_like(ball.height.contact))
-    assert code(robot.add(replace(ball, height=height))) == ReasonCode.NO_CONTACT
-    assert status(robot).presses == 0
-
-
 def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
     maps: list[MapRevision] = []
 
@@ -544,19 +486,6 @@ def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Rec
     assert code(robot.add(ball, pose=False)) is None
     robot.end()
     assert maps[-1].raster().x0_mm > 30
-
-
-def test_a_resumed_map_is_published_at_once(tmp_path: Path, ball: Reconstruction) -> None:
-    first = Robot(tmp_path)
-    first.show(ball)
-    first.ask("BEGIN", "pad")
-    first.add(ball)
-    first.end()
-    second = Robot(tmp_path)
-    second.ask("STATUS")
-    assert [(r.name, r.revision, r.presses, r.folder) for r in second.maps] == [("pad", 1, 1, "")]
-    assert second.worker.state.presses == 1
-    second.end()
 
 
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:

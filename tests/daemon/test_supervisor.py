@@ -1,10 +1,12 @@
-"""Several sensors of one file: the command as its users run it, a real broker, and a service manager's socket."""
+"""Sensors, a hand and daemons as their users run them: the command, a real broker, and what becomes of the others."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -15,53 +17,66 @@ from typing import Any
 
 import cv2
 import pytest
+from support.running_app import NEEDS_BROKER
 
 from tacshade_edge.cli import EXIT_CONFIG
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.doctor.broker import check_broker, judge_daemon
+from tacshade_edge.doctor.machine import Process
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.topics import HandObjects, decode_hand
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
 from tools.testbed.robot import PtyRobot
 
-pytestmark = [pytest.mark.broker, pytest.mark.slow]
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+HAND = "tacshade/hand/left"
 
 
-class Running:
-    """The command, and what it tells a service manager."""
+class Command:
+    """``tacshade-edge run``, what it tells a service manager, and its log."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, config: Path) -> None:
         self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._manager.bind(str(folder / "notify"))
+        self._manager.bind(str(config.with_suffix(".notify")))
         self._manager.setblocking(False)
-        self._told: list[str] = []
-        self.log = folder / "log"
-        with self.log.open("w") as log:
+        self._notices: list[str] = []
+        self._log = config.with_suffix(".log")
+        with self._log.open("w") as log:
             self.process = subprocess.Popen(
-                (sys.executable, "-m", "tacshade_edge", "run", "--config", str(folder / "hand.yaml")),
-                env={**os.environ, "NOTIFY_SOCKET": str(folder / "notify")},
+                (sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)),
+                env={**os.environ, "NOTIFY_SOCKET": str(config.with_suffix(".notify"))},
                 stderr=log,
                 stdin=subprocess.DEVNULL,
             )
 
-    def told(self) -> list[str]:
-        """Every line so far."""
-        while True:
-            try:
-                self._told += self._manager.recv(65536).decode().split("\n")
-            except BlockingIOError:
-                return self._told
+    def __enter__(self) -> Command:
+        return self
 
-    def children(self) -> set[int]:
-        """Its processes."""
-        found = subprocess.run(("pgrep", "-P", str(self.process.pid)), capture_output=True, check=False)
-        return {int(word) for word in found.stdout.split()}
-
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         self.process.kill()
         self.process.wait()
         self._manager.close()
+
+    def notices(self) -> list[str]:
+        """Every line to the service manager so far."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self._notices += self._manager.recv(65536).decode().split("\n")
+        return self._notices
+
+    def log(self) -> str:
+        return self._log.read_text()
+
+    def children(self) -> set[int]:
+        found = subprocess.run(("pgrep", "-P", str(self.process.pid)), capture_output=True, check=False)
+        return {int(word) for word in found.stdout.split()}
+
+    def stop(self) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(patience(20)) == 0, self.log()
 
 
 @pytest.fixture
@@ -70,120 +85,85 @@ def folder(tmp_path: Path) -> Path:
     for name in ("thumb", "index"):
         calibration_file.save(tmp_path / f"{name}.npz", painted_calibration())
         (tmp_path / name).mkdir()
-        for i, image in enumerate([FREE] * 3 + [TOUCHED] * 5):
-            cv2.imwrite(str(tmp_path / name / f"{i}.png"), image)
+        for i, image in enumerate([FREE] * 3 + [TOUCHED] * 20):
+            cv2.imwrite(str(tmp_path / name / f"{i:02d}.png"), image)
     (tmp_path / "ring.npz").write_bytes(b"no calibration")
     (tmp_path / "ring").symlink_to("index")
     return tmp_path
 
 
-def write(folder: Path, port: int, *names: str) -> None:
+def run(folder: Path, port: int, *names: str, more: str = "", **places: str) -> Command:
+    """With `places`, x, y, z and the unnormalised w and z of a turn about z, the sensors are the fingers of a hand."""
     lines = [f"mqtt: {{host: 127.0.0.1, port: {port}}}", "recorder: {folder: recs}", "stitching: {folder: maps}"]
-    lines += ["sensors:"]
+    lines += ["hand_id: left"] * bool(places) + [*([more] if more else []), "sensors:"]
     for name in names:
-        lines += [f"  {name}: {{calibration: {name}.npz, source: {{kind: files, path: {name}, fps: 60, loop: true}}}}"]
+        place = f", hand_T_sensor: {at(places[name])}" if places else ""
+        source = f"{{kind: files, path: {name}, fps: 60, loop: true}}"
+        lines += [f"  {name}: {{calibration: {name}.npz, source: {source}{place}}}"]
     (folder / "hand.yaml").write_text("\n".join(lines) + "\n")
+    return Command(folder / "hand.yaml")
 
 
-@pytest.fixture
-def broker(folder: Path) -> Iterator[Broker]:
-    with Broker(folder) as made:
-        yield made
+def at(place: str) -> list[float]:
+    *xyz, w, z = map(float, place.split())
+    long = (w * w + z * z) ** 0.5
+    return [*xyz, round(w / long, 6), 0.0, 0.0, round(z / long, 6)]
 
 
-def write_hand(folder: Path, port: int, *names: str) -> None:
-    """The same, as the fingers of a hand."""
-    write(folder, port, *names)
-    text = (
-        (folder / "hand.yaml").read_text().replace("loop: true}}", "loop: true}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}")
-    )
-    (folder / "hand.yaml").write_text(f"hand_id: left\n{text}")
+def last(seen: Subscriber, topic: str) -> Any:
+    payloads = seen.of(topic)
+    return json.loads(payloads[-1]) if payloads else {}
 
 
-def health(seen: Subscriber, name: str) -> dict[str, Any]:
-    payloads = seen.of(f"tacshade/{name}/health")
-    return dict(json.loads(payloads[-1])) if payloads else {}
+def health(seen: Subscriber, name: str) -> Any:
+    return last(seen, f"tacshade/{name}/health")
 
 
-@needs_broker
-def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Broker) -> None:
-    write(folder, broker.port, "thumb", "index", "ring")
-    with Subscriber(broker.port) as seen:
-        running = Running(folder)
-        try:
-            wait_until(lambda: "READY=1" in running.told(), 20, "up with one that cannot start")
-            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
-            first = running.children()
-            assert len(first) == 2
-            states = {name: len(seen.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
-            victim = min(first)
-            os.kill(victim, signal.SIGKILL)
-            wait_until(lambda: len(running.children() - {victim}) == 2, 20, "started again")
-            wait_until(
-                lambda: any("thumb: streaming" in t and "index: streaming" in t for t in running.told()[-4:]),
-                20,
-                "both stream",
-            )
-            assert any("ring: bad settings" in line for line in running.told())
-            disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
-            assert len(disturbed) == 1, "the other never left the broker"
-            (other,) = set(states) - set(disturbed)
-            frames = health(seen, other)["frames"]
-            assert frames["captured"] == sum(n for key, n in frames.items() if key != "captured")
-            assert health(seen, other)["source_dropped"] == 0
+def assert_accounted(frames: dict[str, int]) -> None:
+    assert frames["captured"] == sum(n for key, n in frames.items() if key != "captured")
 
-            calibration_file.save(folder / "ring.npz", painted_calibration())
-            running.process.send_signal(signal.SIGHUP)
-            wait_until(lambda: bool(health(seen, "ring")), 20, "the fixed one runs after a reload")
-            running.process.send_signal(signal.SIGTERM)
-            assert running.process.wait(patience(10)) == 0
-            seen.wait_for_last("tacshade/ring/state", b"stopped")
-        finally:
-            running.close()
-    text = running.log.read_text()
+
+def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Broker, seen: Subscriber) -> None:
+    with run(folder, broker.port, "thumb", "index", "ring") as running:
+        wait_until(lambda: "READY=1" in running.notices(), 20, "up with one that cannot start")
+        wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
+        first = running.children()
+        assert len(first) == 2
+        states = {name: len(seen.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
+        victim = min(first)
+        os.kill(victim, signal.SIGKILL)
+        wait_until(lambda: len(running.children() - {victim}) == 2, 20, "started again")
+        both = ("thumb: streaming", "index: streaming")
+        wait_until(lambda: any(all(b in n for b in both) for n in running.notices()[-4:]), 20, "both stream")
+        assert any("ring: bad settings" in line for line in running.notices())
+        disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
+        assert len(disturbed) == 1, "the other never left the broker"
+        (other,) = set(states) - set(disturbed)
+        assert_accounted(health(seen, other)["frames"])
+        assert health(seen, other)["source_dropped"] == 0
+
+        calibration_file.save(folder / "ring.npz", painted_calibration())
+        running.process.send_signal(signal.SIGHUP)
+        wait_until(lambda: bool(health(seen, "ring")), 20, "the fixed one runs after a reload")
+        running.stop()
+        seen.wait_for_last("tacshade/ring/state", b"stopped")
+    text = running.log()
     assert "sensors.ring.calibration: " in text
     assert "its process exited with -9" in text
     assert {"thumb", "index", "ring"} <= {line.split(": ")[1] for line in text.splitlines() if "INFO" in line}
 
 
-@needs_broker
-def test_one_that_a_signal_stops_is_started_again_the_hand_too(folder: Path, broker: Broker) -> None:
-    write_hand(folder, broker.port, "thumb", "index")
-    with Subscriber(broker.port) as seen:
-        running = Running(folder)
-        try:
-            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index", "hand/left")), 20, "all publish")
-            for victim in sorted(running.children()):
-                os.kill(victim, signal.SIGTERM)
-                wait_until(lambda victim=victim: len(running.children() - {victim}) == 3, 20, "started again")
-            seen.messages.clear()
-            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index", "hand/left")), 20, "all again")
-            running.process.send_signal(signal.SIGTERM)
-            assert running.process.wait(patience(10)) == 0
-        finally:
-            running.close()
-    lines = [line.partition(" ERROR ")[2] for line in running.log.read_text().splitlines() if "a signal ended" in line]
-    told = {line.split(": ")[1] for line in lines}
-    assert told == {"thumb", "index", "hand/left"}
-    assert all(line.endswith("a signal ended its process; restarting in 1 s") for line in lines)
-
-
-@needs_broker
 def test_one_that_ends_at_once_waits_longer_each_time_until_a_reload(folder: Path, broker: Broker) -> None:
-    write(folder, broker.port, "thumb")
-    running = Running(folder)
-    try:
-        for expected_s in (1, 2, 4):
+    with run(folder, broker.port, "thumb") as running:
+        for expected_s in (1, 2):
             wait_until(lambda: len(running.children()) == 1, 20, "started")
             os.kill(running.children().pop(), signal.SIGKILL)
-            told = f"thumb: its process exited with -9; restarting in {expected_s} s"
-            wait_until(lambda told=told: told in running.log.read_text(), 20, told)
+            text = f"thumb: its process exited with -9; restarting in {expected_s} s"
+            wait_until(lambda text=text: text in running.log(), 20, text)
         running.process.send_signal(signal.SIGHUP)
         wait_until(lambda: len(running.children()) == 1, 20, "started by the reload")
         os.kill(running.children().pop(), signal.SIGKILL)
-        wait_until(lambda: running.log.read_text().count("restarting in 1 s") == 2, 20, "from the beginning")
-    finally:
-        running.close()
+        wait_until(lambda: running.log().count("restarting in 1 s") == 2, 20, "from the beginning")
 
 
 def states(pid: int) -> set[str]:
@@ -201,74 +181,240 @@ def suspend(pid: int) -> None:
     wait_until(lambda: states(pid) == {"T"}, 20, "each thread stands")
 
 
-@needs_broker
-def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker) -> None:
-    write_hand(folder, broker.port, "thumb")
-    with Subscriber(broker.port) as seen:
-        running = Running(folder)
-        try:
-            wait_until(lambda: bool(health(seen, "thumb") and health(seen, "hand/left")), 20, "both publish")
-            children = running.children()
-            for child in children:
-                suspend(child)
-        finally:
-            running.close()
-        try:
-            wait_until(lambda: not any(map(states, children)), 20, "they end, stopped as they are")
-        finally:
-            for child in filter(states, children):
-                os.kill(child, signal.SIGKILL)
-
-
-@needs_broker
-def test_one_that_hangs_says_where_and_is_started_again(
-    folder: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch
+def test_those_that_a_signal_stops_or_that_hang_are_started_again_and_end_with_their_supervisor(
+    folder: Path, broker: Broker, seen: Subscriber
 ) -> None:
-    write(folder, broker.port, "thumb", "index")
-    with Subscriber(broker.port) as seen:
-        running = Running(folder)
-        try:
-            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
-            victim = min(running.children())
-            os.kill(victim, signal.SIGSTOP)
-            wait_until(lambda: victim not in running.children(), 40, "ended")
-            wait_until(lambda: len(running.children()) == 2, 20, "started again")
-            assert "ending the process, which has not responded for 10 s" in running.log.read_text()
-        finally:
-            running.close()
-        wait_until(lambda: seen.of("tacshade/index/state")[-1:] == [b"stopped"], 20, "they end with their supervisor")
+    parts = ("thumb", "index", "hand/left")
+    with run(folder, broker.port, "thumb", "index", thumb="0 0 0 1 0", index="0 0 0 1 0") as running:
+        wait_until(lambda: all(health(seen, name) for name in parts), 20, "all publish")
+        for victim in sorted(running.children()):
+            os.kill(victim, signal.SIGTERM)
+            wait_until(lambda victim=victim: len(running.children() - {victim}) == 3, 20, "started again")
+        seen.messages.clear()
+        wait_until(lambda: all(health(seen, name) for name in parts), 20, "all again")
+        victim = min(running.children())
+        os.kill(victim, signal.SIGSTOP)
+        wait_until(lambda: victim not in running.children(), 40, "ended")
+        wait_until(lambda: len(running.children()) == 3, 20, "started again")
+        assert "ending the process, which has not responded for 10 s" in running.log()
+        children = running.children()
+        for child in children:
+            suspend(child)
+    try:
+        wait_until(lambda: not any(map(states, children)), 20, "they end, stopped as they are")
+    finally:
+        for child in filter(states, children):
+            os.kill(child, signal.SIGKILL)
+    ended = [line.partition(" ERROR ")[2] for line in running.log().splitlines() if "a signal ended" in line]
+    assert {line.split(": ")[1] for line in ended} == set(parts)
+    assert all(line.endswith("a signal ended its process; restarting in 1 s") for line in ended)
 
 
-@needs_broker
-def test_one_robots_line_gives_poses_to_every_sensor(folder: Path, broker: Broker) -> None:
+def test_one_robots_line_gives_poses_to_every_sensor(folder: Path, broker: Broker, seen: Subscriber) -> None:
     link = Path(f"/dev/shm/tacshade-hand-{os.getpid()}")
-    write(folder, broker.port, "thumb", "index")
-    config = folder / "hand.yaml"
-    config.write_text(f"serial: {{device: {link}}}\n{config.read_text()}")
 
-    def posed(seen: Subscriber, name: str) -> bool:
+    def posed(name: str) -> bool:
         return any(wire.decode(payload).pose for payload in seen.of(f"tacshade/{name}/height"))
 
-    def shared(seen: Subscriber) -> tuple[str, str]:
-        told = json.loads(seen.of("tacshade/index/status/serial")[-1])
-        return told["state"], told["shared_by"]
+    def shared() -> tuple[str, str]:
+        serial = last(seen, "tacshade/index/status/serial")
+        return serial["state"], serial["shared_by"]
 
-    with Subscriber(broker.port) as seen, PtyRobot(link, rate_hz=100, binary=True):
-        running = Running(folder)
-        try:
-            wait_until(lambda: posed(seen, "thumb") and posed(seen, "index"), 30, "both have poses")
-            wait_until(lambda: shared(seen) == ("connected", "thumb"), 10, "index says whose line it is")
-            running.process.send_signal(signal.SIGTERM)
-            assert running.process.wait(patience(10)) == 0
-        finally:
-            running.close()
+    with (
+        PtyRobot(link, rate_hz=100, binary=True),
+        run(folder, broker.port, "thumb", "index", more=f"serial: {{device: {link}}}") as running,
+    ):
+        wait_until(lambda: posed("thumb") and posed("index"), 30, "both have poses")
+        wait_until(lambda: shared() == ("connected", "thumb"), 10, "index says whose line it is")
+        running.stop()
 
 
 def test_no_settings_that_can_work_is_bad_configuration(folder: Path) -> None:
-    write(folder, 1, "ring")
-    running = Running(folder)
-    try:
+    with run(folder, 1, "ring") as running:
         assert running.process.wait(patience(20)) == EXIT_CONFIG
-        assert "the file is damaged or not a calibration" in running.log.read_text()
-    finally:
-        running.close()
+        assert "the file is damaged or not a calibration" in running.log()
+
+
+# A hand.
+
+
+def latest(seen: Subscriber) -> HandObjects | None:
+    payloads = seen.of(f"{HAND}/objects")
+    return decode_hand(payloads[-1]) if payloads else None
+
+
+def both_touch(seen: Subscriber) -> bool:
+    hand = latest(seen)
+    return hand is not None and {finger.state for finger in hand.fingers.values()} == {"contact"}
+
+
+def thumb_z_mm(seen: Subscriber) -> float | None:
+    hand = latest(seen)
+    objects = hand.fingers["thumb"].objects if hand else ()
+    return objects[0].centroid_mm[2] if objects else None
+
+
+def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_another(
+    folder: Path, broker: Broker
+) -> None:
+    # Nobody listens to what a finger sees.
+    with (
+        run(folder, broker.port, "thumb", "index", thumb="100 0 0 1 0", index="0 0 0 1 1") as running,
+        Subscriber(broker.port, "tacshade/+/health") as fingers,
+    ):
+        # Nobody listens to the hand yet: no depth is computed.
+        wait_until(lambda: health(fingers, "thumb").get("frames", {}).get("unasked", 0) > 60, 30, "unasked frames")
+        frames = health(fingers, "thumb")["frames"]
+        assert frames["published"] < 0.2 * frames["unasked"]
+        topics = [(f"tacshade/+/{topic}", 1) for topic in ("state", "info", "instance")]
+        fingers.client.subscribe(topics)
+        with Subscriber(broker.port, f"{HAND}/+") as seen:
+            wait_until(lambda: both_touch(seen), 30, "both fingers touch")
+            hand = latest(seen)
+            assert hand is not None
+            (thumb, *_), (index, *_) = (hand.fingers[name].objects for name in ("thumb", "index"))
+            x_mm, y_mm, z_mm = thumb.centroid_mm
+            assert index.centroid_mm == pytest.approx((-y_mm, x_mm - 100, z_mm), abs=1e-3)  # a quarter turn
+            assert index.depth_max_mm == thumb.depth_max_mm > 0
+            assert all(finger.age_ms is not None and finger.age_ms < 1000 for finger in hand.fingers.values())
+            wait_until(lambda: last(fingers, "tacshade/thumb/info"), 10, "where the thumb is")
+            info = last(fingers, "tacshade/thumb/info")
+            assert (info["hand_id"], info["hand_T_sensor"]) == ("left", [100.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+            # A reload moves the thumb, from the next frame on.
+            config = folder / "hand.yaml"
+            config.write_text(config.read_text().replace("[100.0, 0.0, 0.0,", "[100.0, 0.0, 50.0,"))
+            running.process.send_signal(signal.SIGHUP)
+            wait_until(lambda: last(fingers, "tacshade/thumb/info")["hand_T_sensor"][2] == 50, 20, "its new place")
+            wait_until(lambda: thumb_z_mm(seen) == pytest.approx(z_mm + 50, abs=0.5), 20, "and used")
+
+            # The hand's own process ends: the sensors never leave the broker, and it comes back.
+            left = {name: len(fingers.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
+            first = last(seen, f"{HAND}/instance")
+            os.kill(first["process"], signal.SIGKILL)
+            wait_until(lambda: last(seen, f"{HAND}/instance")["id"] != first["id"], 20, "started again")
+            count = len(seen.of(f"{HAND}/objects"))
+            wait_until(lambda: len(seen.of(f"{HAND}/objects")) > count and both_touch(seen), 20, "both touch again")
+            assert {name: len(fingers.of(f"tacshade/{name}/state")) for name in left} == left
+
+            # A sensor's process ends: the hand says so at once, the other finger goes on.
+            count = len(seen.of(f"{HAND}/objects"))
+            os.kill(last(fingers, "tacshade/thumb/instance")["process"], signal.SIGKILL)
+
+            def away() -> bool:
+                hands = map(decode_hand, seen.of(f"{HAND}/objects")[count:])
+                return any(hand.fingers["thumb"].reason_code == "daemon_stopped" for hand in hands)
+
+            wait_until(away, 10, "the hand says that a finger is away")
+            wait_until(lambda: both_touch(seen), 20, "both touch again")
+            assert len(fingers.of("tacshade/index/state")) == left["index"]
+            assert_accounted(health(fingers, "index")["frames"])
+
+            running.stop()
+            seen.wait_for_last(f"{HAND}/state", b"stopped")
+            assert last(seen, f"{HAND}/health")["undecodable"] == 0
+            assert all(count > 0 for count in last(seen, f"{HAND}/health")["heard"].values())
+    assert "Traceback" not in running.log()
+
+
+PROGRAM = r"""
+import os, sys
+from pathlib import Path
+import tacshade_edge.cli.commands.run
+from tacshade_edge.daemon.supervisor import Supervisor
+from tacshade_edge.factories import links
+from tacshade_edge.settings import load_all
+from tacshade_edge.version import installed_version
+
+
+def work(document):
+    before = set(sys.modules)
+    links.make_link(document, lambda request: None, lambda stream, seq, outcome: None)
+    installed_version()
+    line = f"{document.settings.sensor_id} {sorted(set(sys.modules) - before)}\n"
+    os.write(1, line.encode())  # whole, beside the other process's
+    os._exit(0)
+
+Supervisor(load_all(Path(sys.argv[1]))).run(work)
+"""
+
+
+def test_a_forked_process_imports_nothing_for_its_link(tmp_path: Path) -> None:
+    """What it would load by itself it would have for itself."""
+    sensors = [f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}" for name in ("thumb", "index")]
+    head = ["mqtt: {host: 127.0.0.1}", "recorder: {folder: recs}", "stitching: {folder: maps}", "sensors:"]
+    (tmp_path / "hand.yaml").write_text("\n".join([*head, *sensors]) + "\n")
+    command = (sys.executable, "-c", PROGRAM, tmp_path / "hand.yaml")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert sorted(done.stdout.splitlines()) == ["index []", "thumb []"]
+
+
+# Two daemons that share what belongs to one: the second says who has it, and the first loses nothing.
+
+
+@pytest.fixture
+def devices() -> Iterator[list[str]]:
+    """Two serial ports with nobody at their other ends."""
+    pairs = [pty.openpty() for _ in range(2)]
+    yield [os.ttyname(slave) for _, slave in pairs]
+    for descriptor in itertools.chain(*pairs):
+        os.close(descriptor)
+
+
+@pytest.mark.parametrize(("same_id", "same_folder", "same_port"), [(True, False, True), (False, True, False)])
+def test_two_daemons(
+    folder: Path,
+    broker: Broker,
+    seen: Subscriber,
+    devices: list[str],
+    same_id: bool,
+    same_folder: bool,
+    same_port: bool,
+) -> None:
+    def daemon(name: str, sensor_id: str, sessions: str, device: str) -> Command:
+        (folder / sessions).mkdir(exist_ok=True)
+        settings = folder / f"{name}.yaml"
+        settings.write_text(
+            f"sensor_id: {sensor_id}\ncalibration: thumb.npz\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            "source: {kind: files, path: thumb, fps: 30, loop: true}\n"
+            f"serial: {{device: {device}}}\nstitching: {{folder: {sessions}}}\n"
+        )
+        return Command(settings)
+
+    def captured(sensor_id: str) -> int:
+        return int(health(seen, sensor_id).get("frames", {}).get("captured", 0))
+
+    second_id, sessions = "left" if same_id else "right", "one" if same_folder else "two"
+    device = devices[0 if same_port else 1]
+    with daemon("first", "left", "one", devices[0]) as first:
+        wait_until(lambda: captured("left") > 10, 30, "the first works")
+        failed = health(seen, "left")["frames"]["failed"]  # before it was connected
+        with daemon("second", second_id, sessions, device) as second:
+            holder = f"process {first.process.pid}"
+            wait_until(lambda: f"thumb.reference.npz: in use by 'sensor left, {holder}'" in second.log(), 30, "file")
+            if same_id:
+                place = f"on {socket.gethostname()}, {holder}"
+                text = f"another daemon, {place}, is using tacshade/left; waiting"
+                wait_until(lambda: text in second.log(), 30, "id")
+                address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
+                _, found = check_broker(address, "left")
+                finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
+                waiting = f"on {socket.gethostname()}, process {second.process.pid}"
+                expected = f"two daemons are using left: one is running {place}, and the other is waiting {waiting}"
+                assert finding.found == expected
+            else:
+                wait_until(lambda: captured("right") > 10, 30, "the second works too")
+            if same_folder:
+                wait_until(lambda: f"/one: in use by 'sensor left, {holder}'" in second.log(), 30, "folder")
+            if same_port:
+                wait_until(lambda: f"serial {device}: in use by another program" in second.log(), 30, "port")
+            before = captured("left")
+            wait_until(lambda: captured("left") > before + 30, 30, "the first goes on")
+            counts = health(seen, "left")
+            assert (counts["mqtt"]["losses"], counts["frames"]["failed"]) == (0, failed)
+            assert not [t for t in ("in use by", "another daemon, on", "connection lost") if t in first.log()]
+            assert ("in use by another program" in second.log()) == same_port
+            assert ("another daemon, on" in second.log()) == same_id
+            second.stop()
+        first.stop()
+        assert set(seen.of("tacshade/left/state")) <= {b"online", b"stopped", b"degraded"}

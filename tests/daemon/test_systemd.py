@@ -6,11 +6,13 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.running_app import GONE, Running, paced
 
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
@@ -18,7 +20,7 @@ from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.pipeline import Grab, Mailbox, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Service, notify
-from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration, Frame, Need
@@ -27,8 +29,6 @@ from tools.testbed.painted_sensor import painted_calibration
 from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.slow
-
-GONE = DeviceError("camera /dev/video9: gone")
 
 
 class Manager:
@@ -74,32 +74,19 @@ def settings(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def start(settings: Path, calibration: Calibration) -> Iterator[Callable[[Any], App]]:
-    running: list[tuple[App, threading.Thread]] = []
-
-    def started(source: Any) -> App:
-        app = App(load(settings), source, calibration)
-        running.append((app, threading.Thread(target=app.run)))
-        running[-1][1].start()
-        return app
-
-    yield started
-    for app, thread in running:
-        app.stop()
-        thread.join(patience(10))
-        assert not thread.is_alive()
+    with ExitStack() as stack:
+        yield lambda source: stack.enter_context(Running(load(settings), source, calibration)).app
 
 
-def paced(picture: Any, until: threading.Event | None = None) -> Iterator[Any]:
-    pause = threading.Event()
+def streaming(picture: Any, until: threading.Event | None = None) -> Iterator[Any]:
     while until is None or not until.is_set():
-        yield picture
-        yield lambda: pause.wait(0.02)
+        yield from paced(picture, 1)
 
 
 def test_ready_status_watchdog_stopping(
     manager: Manager, start: Any, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
-    app = start(scripted(paced(pictures.touched)))
+    app = start(scripted(streaming(pictures.touched)))
     wait_until(lambda: manager.watchdogs() >= 2)
     assert manager.heard[0] == "READY=1"
     wait_until(lambda: manager.has("STATUS=streaming, "))
@@ -125,9 +112,9 @@ def test_a_hung_read_is_not_fed_although_the_main_thread_lives(
 
 
 def hanging(pictures: Any, hang: threading.Event, release: threading.Event) -> Iterator[Any]:
-    yield from paced(pictures.free, hang)
+    yield from streaming(pictures.free, hang)
     yield release.wait
-    yield from paced(pictures.free)
+    yield from streaming(pictures.free)
 
 
 def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
@@ -140,25 +127,6 @@ def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
     assert len(source.opened_ns) >= 2
 
 
-def test_reload_takes_over_the_profile_and_the_calibration(
-    manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
-) -> None:
-    app = start(scripted(paced(pictures.free)))
-    wait_until(lambda: manager.watchdogs() >= 1)
-    before = app._active.reconstructor
-    other = calibration_file.with_crc(replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0))
-    calibration_file.save(settings.parent / "other.npz", other)
-    settings.write_text(settings.read_text().replace("c.npz", "other.npz").replace("fast", "paper"))
-    told, began_us = len(manager.heard), time.monotonic_ns() // 1000
-    app.reload()
-    wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded", told))
-    reloading = next(message for message in manager.heard[told:] if message.startswith("RELOADING=1\nMONOTONIC_USEC="))
-    assert began_us <= int(reloading.rpartition("=")[2]) <= time.monotonic_ns() // 1000
-    after = app._active.reconstructor
-    assert (before.profile.name, after.profile.name) == ("fast", "paper")
-    assert after.calibration.crc32 == other.crc32 != before.calibration.crc32
-
-
 def test_a_bad_reload_keeps_what_runs(
     manager: Manager,
     start: Any,
@@ -168,7 +136,7 @@ def test_a_bad_reload_keeps_what_runs(
     wait_until: Any,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    app = start(scripted(paced(pictures.free)))
+    app = start(scripted(streaming(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
     before, good = app._active.reconstructor, settings.read_text()
     for old, new, problem in (
@@ -195,16 +163,29 @@ def test_a_bad_reload_keeps_what_runs(
     assert not manager.has("rejected", told)
 
 
-def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
+def test_a_reload_takes_over_profile_and_calibration_but_a_new_source_or_broker_waits_for_a_restart(
     manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
-    app = start(scripted(paced(pictures.free)))
+    app = start(scripted(streaming(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
-    text = settings.read_text().replace("kind: simulated", "kind: simulated, fps: 7").replace("127.0.0.1", "localhost")
-    settings.write_text(text.replace("fast", "paper"))
+    before, began_us = app._active.reconstructor, time.monotonic_ns() // 1000
+    other = calibration_file.with_crc(replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0))
+    calibration_file.save(settings.parent / "other.npz", other)
+    text = settings.read_text()
+    for old, new in (
+        ("simulated", "simulated, fps: 7"),
+        ("127.0.0.1", "localhost"),
+        ("fast", "paper"),
+        ("c.npz", "other.npz"),
+    ):
+        text = text.replace(old, new)
+    settings.write_text(text)
     app.reload()
     wait_until(lambda: manager.has("READY=1\nSTATUS=restart the daemon to use the new source and mqtt"))
     assert app._active.reconstructor.profile.name == "paper"
+    reloading = next(message for message in manager.heard if message.startswith("RELOADING=1\nMONOTONIC_USEC="))
+    assert began_us <= int(reloading.rpartition("=")[2]) <= time.monotonic_ns() // 1000
+    assert app._active.reconstructor.calibration.crc32 == other.crc32 != before.calibration.crc32
 
 
 class Steps(FrameObserver):

@@ -60,10 +60,7 @@ def test_uninstalling_leaves_nothing_but_what_it_says(seen: dict[str, Any]) -> N
     gone = seen["uninstalls"]
     assert gone["running"] == 0
     code, output = gone["done"]
-    assert (code, output) == (
-        0,
-        "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge",
-    )
+    assert (code, output) == (0, "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge")
     assert gone["again"] == gone["done"]
     assert gone["files"] == seen["install"]["before"]
     assert gone["calibration"]

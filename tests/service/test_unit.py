@@ -107,9 +107,3 @@ def test_what_a_person_edited_is_kept(tmp_path: Path) -> None:
     assert config.read_text() == "profile: paper\n"
     assert install(tmp_path, "--uninstall") == "kept: /etc/tacshade-edge/config.yaml (edited)\n"
     assert tree(tmp_path) == {"etc/tacshade-edge/config.yaml": b"profile: paper\n"}
-
-
-def test_a_wrong_option_is_one_line(tmp_path: Path) -> None:
-    command = [FILES / "install.sh", "--remove"]
-    done = subprocess.run(command, env={"DESTDIR": str(tmp_path)}, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (2, "install.sh: found --remove, expected --uninstall or nothing\n")
