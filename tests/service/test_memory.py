@@ -11,10 +11,10 @@ import pytest
 
 from tools.testbed.mqtt_rig import MOSQUITTO
 
-FRAMES, FPS = 2_500, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
+FRAMES, FPS = 1_500, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
 # Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at the end and at the
-# peak of 5000 frames. A kilobyte forgotten with each frame of these: 2.2 MB.
-RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 2.0
+# peak of 5000 frames. A kilobyte forgotten with each frame of these: 1.3 MB.
+RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 1.2
 
 
 @pytest.mark.slow

@@ -256,7 +256,8 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def environment(script: Path, folder: Path, wheels: Path) -> subprocess.CompletedProcess[str]:
-    words = os.environ | {"PYTHON": sys.executable, "PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(wheels)}
+    pip = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(wheels), "PIP_NO_COMPILE": "1"}
+    words = os.environ | {"PYTHON": sys.executable} | pip
     return subprocess.run([script, folder], env=words, capture_output=True, text=True, check=False)
 
 
