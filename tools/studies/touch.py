@@ -32,7 +32,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import F32, F64, Bool, Calibration, Frame, Need, TouchModel
+from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
 from tools.studies.real_frames import PUBLISHED, forced, rows_of
 
 FOLDER = "data/cr_tactip/surface_3d"
@@ -62,6 +62,26 @@ class Frames:
     second: Bool
 
 
+class Taker:
+    """A profile that takes from each frame what a touch model learns from."""
+
+    def __init__(self, calibration: Calibration, profile: str) -> None:
+        chosen = PROFILES[profile]
+        assert chosen.network is not None
+        self.features: list[F32] = []
+        self.imprints: list[F32] = []
+        self._made = Reconstructor(calibration, chosen, load_network(chosen.network), touch=self.features)
+
+    def take(self, image: U8) -> Reconstruction | None:
+        """The frame's result; None if it is not usable."""
+        before = len(self.features)
+        found = self._made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
+        if found is None or len(self.features) == before:
+            return None
+        self.imprints.append(imprint_of(found.objects, found.volume_mm3))
+        return found
+
+
 def seen(clone: Path, profile: str) -> Frames:
     """Run the networks over every frame once."""
     pictures, labels, second = [], [], []
@@ -71,28 +91,11 @@ def seen(clone: Path, profile: str) -> Frames:
             labels.append([float(row[name]) for name in COLUMNS])
             second.append(run == RUNS[1])
     known, later = np.array(labels), np.array(second)
-    least = pictures[int(np.where(later, known[:, 0], np.inf).argmin())]
-    taken: list[F32] = []
-    made = reconstructor(forced([least]), profile, taken)
-    usable, imprints = [], []
-    for path in pictures:
-        before = len(taken)
-        found = made.step(Frame(0, 0, 0, read_image(path)), need=Need.TOUCH)
-        usable.append(len(taken) > before)
-        if usable[-1] and found is not None:
-            imprints.append(imprint_of(found.objects, found.volume_mm3))
-    features = np.zeros((len(pictures), len(taken[0])), np.float32)
-    features[np.array(usable)] = taken
-    shown = np.zeros((len(pictures), len(imprints[0])), np.float32)
-    shown[np.array(usable)] = imprints
-    return Frames(features, shown, known, np.array(usable), later)
-
-
-def reconstructor(calibration: Calibration, profile: str, touch: TouchModel | list[F32]) -> Reconstructor:
-    """A reconstructor with a touch model, or with a list that collects features."""
-    chosen = PROFILES[profile]
-    assert chosen.network is not None
-    return Reconstructor(calibration, chosen, load_network(chosen.network), touch=touch)
+    taker = Taker(forced([pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
+    usable = np.array([taker.take(read_image(path)) is not None for path in pictures])
+    features, shown = (np.zeros((len(pictures), len(one[0])), np.float32) for one in (taker.features, taker.imprints))
+    features[usable], shown[usable] = taker.features, taker.imprints
+    return Frames(features, shown, known, usable, later)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

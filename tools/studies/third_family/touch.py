@@ -19,15 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.answer import imprint_of, touch_by_model
+from tacshade_edge.core.touch.answer import touch_by_model
 from tacshade_edge.core.touch.learning import learn
-from tacshade_edge.inference.network import load_network
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import SCENE_NOISE
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import F32, F64, Frame, Need
+from tacshade_edge.types import F32, F64
 from tools.studies.third_family.domes import (
     FIRST_SEED,
     Dome,
@@ -40,12 +37,11 @@ from tools.studies.third_family.domes import (
     renderer,
 )
 from tools.studies.third_family.evaluate import calibrated
+from tools.studies.touch import NAMES, SHOWN, Taker
 
 RANGE, SENSOR = "working", 0
 COUNTS = {"plate": 75, "ball": 10, "bar": 10}
 LABELS = 100
-NAMES = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
-SHOWN = {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)}
 
 
 def ways(dome: Dome) -> list[tuple[Way, float]]:
@@ -85,24 +81,19 @@ def seen(folder: Path, profile: str) -> tuple[list[str], F32, F32, F64, F64]:
     """Return object, features, imprint, label, and the touch without labels, of every frame in contact."""
     model, dome = drawn(RANGE, SENSOR)
     draws = renderer(model, FIRST_SEED[RANGE] + SENSOR)
-    chosen = PROFILES[profile]
-    assert chosen.network is not None
-    taken: list[F32] = []
-    made = Reconstructor(calibrated(RANGE, SENSOR), chosen, load_network(chosen.network), touch=taken)
-    objects, imprints, labels, plain = [], [], [], []
+    taker = Taker(calibrated(RANGE, SENSOR), profile)
+    objects, labels, plain = [], [], []
     for k, (way, pressed_mm) in enumerate(ways(dome)):
         kept = Kept.read(file_of(folder, k))
         for dragged, at_mm in enumerate((kept.pressed_mm, kept.dragged_mm)):
             skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
-            image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
-            before = len(taken)
-            result = made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
-            if len(taken) > before and result is not None and result.touch is not None:
+            result = taker.take(draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged))
+            if result is not None and result.touch is not None:
                 plain.append([result.touch.values[name] for name in NAMES])
                 objects.append(way.object_name)
-                imprints.append(imprint_of(result.objects, result.volume_mm3))
                 labels.append(label(way, pressed_mm, bool(dragged)))
-    return objects, np.stack(taken), np.stack(imprints), np.array(labels), np.array(plain, float)
+    features, imprints = np.stack(taker.features), np.stack(taker.imprints)
+    return objects, features, imprints, np.array(labels), np.array(plain, float)
 
 
 def report(folder: Path) -> None:
