@@ -29,7 +29,7 @@ from support.booted_service import (
     until,
 )
 
-GOOD = "source: {kind: simulated}\n"
+GOOD = "source: {kind: simulated, fps: 5}\n"
 WATCHDOG_S = 10.0
 INSTALL = "/payload/checkout/systemd/install.sh"
 # What install.sh may leave behind nothing of.

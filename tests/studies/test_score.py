@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -256,24 +255,14 @@ def test_a_truth_that_cannot_be_is_one_line(tmp_path: Path, content: dict[str, A
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("damage", ["cut", "text", "empty", "npy", "flipped", "pickle", "absent", "folder", "pipe"])
+@pytest.mark.parametrize("damage", ["cut", "pickle", "absent"])
 def test_a_damaged_truth_is_one_line(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "t.npz"
-    np.savez(path, **truth())
-    whole = path.read_bytes()
-    path.unlink()
-    if damage == "folder":
-        path.mkdir()
-    elif damage == "pipe":
-        os.mkfifo(path)
-    elif damage == "npy":
-        with path.open("wb") as stream:
-            np.save(stream, np.zeros(3))
-    elif damage == "pickle":
+    if damage == "pickle":
         np.savez(path, points_mm=np.array([object()], dtype=object))
-    elif damage != "absent":
-        flipped = whole[:2000] + bytes(b ^ 0xFF for b in whole[2000:2100]) + whole[2100:]
-        path.write_bytes({"cut": whole[:-300], "text": b"no truth", "empty": b"", "flipped": flipped}[damage])
+    elif damage == "cut":
+        np.savez(path, **truth())
+        path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(DecodeError, match=r"t\.npz: .*expected") as error:
         read_truth(path, SIZE, CALIBRATION.geometry)
     assert "\n" not in str(error.value)
