@@ -25,26 +25,11 @@ class Pose:
 
 @frozen
 class Frame:
-    """One image of the sensor's camera.
+    """One image of the sensor's camera, uint8 (H, W) grey or (H, W, 3) BGR."""
 
-    Attributes
-    ----------
-    seq : int
-        Counts the frames of this source from 0; a gap marks frames that the source knows it lost.
-    t_ns : int
-        Capture time, CLOCK_MONOTONIC.
-    wall_ns : int
-        The same instant as Unix time, for metadata only.
-    image : uint8 (H, W) grey or (H, W, 3) BGR
-    pose : Pose or None
-        ``base_T_flange`` at `t_ns`, if known.
-    pose_error_us : int
-        Greatest difference between `t_ns` and the pose's time, µs; 0 without a pose.
-    """
-
-    seq: int
-    t_ns: int
-    wall_ns: int
+    seq: int  # counts the frames of this source from 0; a gap marks frames that the source knows it lost
+    t_ns: int  # capture time, CLOCK_MONOTONIC
+    wall_ns: int  # the same instant as Unix time, for metadata only
     image: U8
-    pose: Pose | None = None
-    pose_error_us: int = 0
+    pose: Pose | None = None  # ``base_T_flange`` at `t_ns`, if known
+    pose_error_us: int = 0  # greatest difference between `t_ns` and the pose's time; 0 without a pose

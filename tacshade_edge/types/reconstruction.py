@@ -9,7 +9,7 @@ from enum import Flag, IntEnum
 import numpy as np
 
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types.arrays import F32, U16, Bool, freeze, frozen
+from tacshade_edge.types.arrays import F32, U16, Bool, frozen
 
 QUANTITIES = (
     *("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg", "x_mm", "y_mm", "edge_deg"),
@@ -122,7 +122,7 @@ class Touch:
     reason: Reason | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Reconstruction:
     """The result of one frame; `seq` and times are the frame's."""
 
@@ -148,11 +148,6 @@ class Reconstruction:
     )
     untrusted: Bool | None = None  # (rows, cols): cells that do not show the sensor's skin, never contact
     touch: Touch | None = None  # None also if nobody requested it
-
-    def __post_init__(self) -> None:
-        for name in ("shear_mm", "sigma_mm", "untrusted"):
-            if getattr(self, name) is not None:
-                freeze(self, name)
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
