@@ -19,7 +19,11 @@ from tools.testbed.patience import wait_until
 
 BASE = "tacshade/left"
 broker_test = pytest.mark.broker
-needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+def on_mosquitto(test: Any) -> Any:
+    missing = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+    return broker_test(missing(test))
 
 
 def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
@@ -73,8 +77,7 @@ def test_a_port_that_says_nothing_where_tls_is_expected(listener: socket.socket,
     assert "Is mqtt.port the broker's TLS port?" in finding.fix
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         findings, daemon = ask(broker.port)
@@ -88,8 +91,7 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
         assert not any(message.retain for message in seen.messages)
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 def test_a_daemon_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as other:
         for name, payload in (
@@ -113,8 +115,7 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
 SHIPPED = (Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text()
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 @pytest.mark.parametrize(
     ("rules", "username", "state", "fix"),
     [
@@ -135,8 +136,7 @@ def test_access_rules(tmp_path: Path, rules: str, username: str | None, state: s
     assert fix in trip.fix
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 def test_users(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "right"}) as broker:
         wrong = trouble(broker.port, username="hand", password="wrong")
@@ -144,8 +144,7 @@ def test_users(tmp_path: Path) -> None:
         assert "mqtt.username" in trouble(broker.port).fix
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 @pytest.mark.parametrize(
     ("option", "found"),
     [("max_packet_size 20000", "at most 20000 bytes"), ("message_size_limit 10000", "9500 bytes but none of 19000")],
@@ -164,8 +163,7 @@ def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
     assert "4750 bytes but none of 9500" in small.found
 
 
-@broker_test
-@needs_mosquitto
+@on_mosquitto
 def test_tls(tmp_path: Path) -> None:
     for name in ("ours", "theirs"):
         (tmp_path / name).mkdir()
@@ -181,14 +179,6 @@ def test_tls(tmp_path: Path) -> None:
         assert "set mqtt.ca_file" in trouble(broker.port).fix
     with Broker(tmp_path / "theirs") as broker:
         trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
-
-
-@broker_test
-@needs_mosquitto
-def test_a_broker_that_hangs(tmp_path: Path) -> None:
-    with Broker(tmp_path) as broker:
-        broker.stall()
-        assert "does not answer" in trouble(broker.port).found
 
 
 @pytest.mark.parametrize(
