@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from support.half_family import half_family
-from support.progress_lines import only_progress
+from support.progress_lines import only_progress, without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
@@ -99,7 +99,7 @@ def test_another_sensors_images_are_refused_one_by_one_and_exit_1(
         (own / "images" / f"{name}.npz").write_bytes((own / "images" / "coin.npz").read_bytes())
     assert main(of_own(own, "--profile", "fast", "balanced")) == 1
     printed = capsys.readouterr()
-    first, second = printed.err.splitlines()
+    first, second = without_progress(printed.err)
     assert first.startswith("tacshade-edge: a.png: invalid: ")
     assert second.startswith("tacshade-edge: b.png: invalid: ")
     assert "| 2 |" in printed.out.splitlines()[-1], "refused"
