@@ -24,13 +24,8 @@ class _Taken:
 
 
 class Advice:
-    """Advice on the next press; it caches each press's place, which may have to be found in the picture.
-
-    Parameters
-    ----------
-    folder : CaptureFolder
-    indenters : mapping of str to Indenter or float
-        From INDENTERS.yaml.
+    """Advice on the next press; it caches each press's place, which may have to be found in the picture. `indenters`:
+    from INDENTERS.yaml.
     """
 
     def __init__(self, folder: CaptureFolder, indenters: Mapping[str, Indenter | float]) -> None:
@@ -39,12 +34,8 @@ class Advice:
         self._known: dict[TakenPress, _Taken] = {}
 
     def text(self, taken: Sequence[TakenPress], check: PressCheck) -> str:
-        """Return one line of advice; empty before the first press.
-
-        Raises
-        ------
-        ConfigError
-            The table has something other than a number, or a picture cannot be read.
+        """Return one line of advice; empty before the first press. Raises ConfigError (the table has something other
+        than a number, or a picture cannot be read).
         """
         # Forget a press that was undone: another picture may get its name.
         self._known = {press: self._known.get(press) or self._look_at(press, check) for press in taken}

@@ -43,25 +43,10 @@ class _Past:
 class Live:
     """An open source whose frames are read during every wait.
 
-    Parameters
-    ----------
-    source : FrameSource
-        Already open.
-    terminal : Terminal
-    page : Page
-    circle : Disc, optional
-        The visible circle that is already stated.
-    state_circle : callable
-        Stores the circle that the person clicked, or None to state no circle. It may raise ConfigError.
-
-    Attributes
-    ----------
-    rest_grey : float
-        `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that.
-    note : str
-        A line that the page shows below the figures.
-    circle : Disc or None
-        The stated visible circle; None if it is found in the picture.
+    `source`: already open. `circle`: the visible circle that is already stated. `state_circle`: stores the circle that
+    the person clicked, or None to state no circle. It may raise ConfigError. `rest_grey`: `motion_grey` of the
+    `STILL_FRAMES` frames taken at rest; 0 before that. `note`: a line that the page shows below the figures. `circle`:
+    the stated visible circle; None if it is found in the picture.
     """
 
     def __init__(
@@ -89,12 +74,8 @@ class Live:
         self._unkept = ""  # why a clicked circle was rejected
 
     def frame(self) -> Frame:
-        """Read the next frame.
-
-        Raises
-        ------
-        DeviceError
-            The camera was lost, delivers only unusable pictures, changed its size, or the source has ended.
+        """Read the next frame. Raises DeviceError (the camera was lost, delivers only unusable pictures, changed its
+        size, or the source has ended).
         """
         for _ in range(_UNUSABLE_MAX):
             try:
@@ -110,12 +91,7 @@ class Live:
 
     def ask(self, text: str, *, with_figures: bool = False) -> str:
         """Ask for a line and read frames until the person has typed it. Raises InputEnded, and as `frame`.
-
-        Parameters
-        ----------
-        text : str
-        with_figures : bool
-            Show the figures live in place of a prompt, for questions that only Enter answers.
+        `with_figures`: show the figures live in place of a prompt, for questions that only Enter answers.
         """
         self._looking = with_figures
         (self._terminal.say if with_figures else self._terminal.ask)(text)
@@ -128,12 +104,8 @@ class Live:
                 return line
 
     def still_frame(self, limit_s: float = math.inf) -> Frame | None:
-        """Wait until the picture stands still and return that frame; None if the person typed a line first.
-
-        Raises
-        ------
-        DeviceError
-            The picture did not settle within `limit_s`; and as `frame`.
+        """Wait until the picture stands still and return that frame; None if the person typed a line first. Raises
+        DeviceError (the picture did not settle within `limit_s`; and as `frame`).
         """
         self._past.clear()
         began_s, hinted = time.monotonic(), False

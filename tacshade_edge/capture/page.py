@@ -117,12 +117,7 @@ class Page:
 
     The threads read `shown` and put the person's clicks into `chosen`.
 
-    Attributes
-    ----------
-    shown : Shown
-        The program replaces it and never changes it.
-    chosen : deque of Chosen
-        The latest choice until the program takes it.
+    `shown`: the program replaces it and never changes it. `chosen`: the latest choice until the program takes it.
     """
 
     def __init__(self) -> None:

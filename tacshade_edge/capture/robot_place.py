@@ -22,13 +22,8 @@ Name = tuple[str, str]
 
 
 class RobotPlaces:
-    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        Has ``flange_T_sensor``.
-    pose_at : PoseAt
+    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others. `sensor`:
+    has ``flange_T_sensor``.
     """
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:

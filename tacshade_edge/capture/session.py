@@ -57,20 +57,9 @@ class _Offer:
 
 
 class Session:
-    """One run of the command on a folder that may already hold an earlier run's presses.
-
-    Parameters
-    ----------
-    folder : CaptureFolder
-    sensor : Sensor
-    live : Live
-    terminal : Terminal
-    plan : sequence of Stated
-        Presses to suggest one after the other; if empty, the person types each.
-    indenters : mapping of str to Indenter or float
-        All indenters except the ball.
-    robot : RobotPlaces, optional
-        Gives place and depth if a robot presses.
+    """One run of the command on a folder that may already hold an earlier run's presses. `plan`: presses to suggest one
+    after the other; if empty, the person types each. `indenters`: all indenters except the ball. `robot`: gives place
+    and depth if a robot presses.
     """
 
     def __init__(
@@ -106,12 +95,8 @@ class Session:
         return self._live.circle != self._circle
 
     def run(self) -> None:
-        """Take references if there are none, then presses until the person ends the run.
-
-        Raises
-        ------
-        InputEnded, DeviceError, ConfigError
-            The folder keeps what was taken before.
+        """Take references if there are none, then presses until the person ends the run. Raises InputEnded,
+        DeviceError, ConfigError (the folder keeps what was taken before).
         """
         check = self._check(self.unloaded())
         self._advise(check)
@@ -296,11 +281,8 @@ class Session:
         return stated("press", self._robot.columns(name, frame), self._names, self._sensor.skin_radius_mm)
 
     def _asked(self, words: Sequence[str]) -> Stated | Name:
-        """Return the typed press, completed from the last one; only its indenter if the robot gives the rest.
-
-        Raises
-        ------
-        ConfigError
+        """Return the typed press, completed from the last one; only its indenter if the robot gives the rest. Raises
+        ConfigError.
         """
         if not words:
             if offer := self._offer():

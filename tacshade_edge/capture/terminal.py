@@ -18,13 +18,8 @@ class InputEnded(Exception):
 
 
 class Terminal:
-    """A terminal that reads lines from a file descriptor and writes lines to a stream.
-
-    Parameters
-    ----------
-    descriptor : int
-        Source of the lines, such as standard input.
-    out : TextIO
+    """A terminal that reads lines from a file descriptor and writes lines to a stream. `descriptor`: source of the
+    lines, such as standard input.
     """
 
     def __init__(self, descriptor: int, out: TextIO) -> None:

@@ -28,13 +28,10 @@ class Connections:
 class Listener(socket.socket):
     """A listening TCP socket that accepts only the connections that `admit` lets in.
 
-    It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before asyncio reports
-    it, and in a threaded server it costs a thread.
+    It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before asyncio reports it,
+    and in a threaded server it costs a thread.
 
-    Raises
-    ------
-    OSError
-        The address does not exist, or its port is in use.
+    Raises OSError (the address does not exist, or its port is in use).
     """
 
     def __init__(self, host: str, port: int, admit: Callable[[socket.socket], bool]) -> None:

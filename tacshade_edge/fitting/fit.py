@@ -68,15 +68,9 @@ Say = Callable[[str], None]
 class NetworkReport:
     """Errors of a network, as shipped and fitted.
 
-    Attributes
-    ----------
-    name : str
-        A profile, or `SHEAR`.
-    shipped_mm, fitted_mm : float
-        Mean error in contact on frames of the twin that training did not see.
-    shipped_presses_mm, fitted_presses_mm : float or None
-        Mean error on the sensor's presses, from which no network has learnt. None without presses; the second also if
-        the fitted network misses more of them.
+    `name`: a profile, or `SHEAR`. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training
+    did not see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network
+    has learnt. None without presses; the second also if the fitted network misses more of them.
     """
 
     name: str
@@ -122,19 +116,9 @@ def fit(
     stated: Mapping[str, float] | None = None,
     folder: Path | None = None,
 ) -> FitResult:
-    """Fit every network to a sensor.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Without fitted networks.
-    presses : sequence of KnownPress
-        The presses that `calibrate` used; may be empty.
-    say : callable
-    stated : mapping of str to float, optional
-        Sizes of the print in mm from its drawing, by the keys of ``print`` in SENSOR.yaml; they are not fitted.
-    folder : Path, optional
-        Keeps finished steps, so that an interrupted fit goes on; removed at the end.
+    """Fit every network to a sensor. `calibration`: without fitted networks. `presses`: the presses that `calibrate`
+    used; may be empty. `stated`: sizes of the print in mm from its drawing, by the keys of ``print`` in SENSOR.yaml;
+    they are not fitted. `folder`: keeps finished steps, so that an interrupted fit goes on; removed at the end.
     """
     effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")

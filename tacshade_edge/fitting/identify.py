@@ -78,16 +78,9 @@ KINDS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A print that was fitted to a reference.
-
-    Attributes
-    ----------
-    kind : Kind
-    values : float64 (P,)
-        `PARAMETERS`, then the lattice's values if there is one.
-    covariance : float64 (P, P)
-    residual : float
-        RMS of the white that the print does not explain, over that of the reference's white.
+    """A print that was fitted to a reference. `values` (float64 (P,)): `PARAMETERS`, then the lattice's values if there
+    is one. `covariance`: float64 (P, P). `residual`: RMS of the white that the print does not explain, over that of the
+    reference's white.
     """
 
     kind: Kind

@@ -21,16 +21,9 @@ from tacshade_edge.types import F64, Calibration
 
 @dataclass(frozen=True, slots=True)
 class OnPresses:
-    """A network's errors on presses, without a factor.
-
-    Attributes
-    ----------
-    errors_mm : dict of str to float
-        Mean error of h for each indenter, at the cells where its surface is known; empty if no contact is found.
-    presses : int
-        Presses whose contact the network finds.
-    error_scale : float or None
-        Factor on σ; None without presses or a model of the network's errors.
+    """A network's errors on presses, without a factor. `errors_mm`: mean error of h for each indenter, at the cells
+    where its surface is known; empty if no contact is found. `presses`: presses whose contact the network finds.
+    `error_scale`: factor on σ; None without presses or a model of the network's errors.
     """
 
     errors_mm: dict[str, float]

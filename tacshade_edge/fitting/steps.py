@@ -20,19 +20,8 @@ BYTES_MAX = 1 << 28
 
 
 class Steps:
-    """The steps of one fit. Files of other fits are removed, what else lies in the folder stays.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if it is not there.
-    digest : str
-        Of everything that the steps depend on.
-
-    Raises
-    ------
-    DeviceError
-        The folder cannot be written.
+    """The steps of one fit. Files of other fits are removed, what else lies in the folder stays. `folder`: made if it
+    is not there. `digest`: of everything that the steps depend on. Raises DeviceError (the folder cannot be written).
     """
 
     def __init__(self, folder: Path, digest: str) -> None:

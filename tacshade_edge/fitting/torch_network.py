@@ -41,16 +41,7 @@ _ONCE = "once:"
 
 class TorchNetwork:
     """A network in training. Its normalisation is part of the weights, so it stays as it was learnt on many sensors.
-
-    Parameters
-    ----------
-    name : str
-        Of a shipped network.
-
-    Raises
-    ------
-    ValueError
-        The file has an operation that is not in `OPERATIONS`.
+    `name`: of a shipped network. Raises ValueError (the file has an operation that is not in `OPERATIONS`).
     """
 
     def __init__(self, name: str) -> None:
@@ -76,12 +67,8 @@ class TorchNetwork:
 
     def __call__(self, white: Tensor, known: Tensor) -> tuple[Tensor, ...]:
         """Run frames: depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M); or shear (B, 2, M, M).
-
-        Parameters
-        ----------
-        white : Tensor float32 (B, fold², N, N)
-        known : Tensor float32 (B, fold² + 6, N, N)
-            What is known of each frame's sensor (`core.depth.learned.known_maps`).
+        `white`: Tensor float32 (B, fold², N, N). `known` (Tensor float32 (B, fold² + 6, N, N)): what is known of each
+        frame's sensor (`core.depth.learned.known_maps`).
         """
         once = [weight for name, weight in self._weights.items() if name.startswith(_ONCE)]
         weight = next(each for each in once if each.dim() == 4)

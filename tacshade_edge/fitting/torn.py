@@ -19,18 +19,9 @@ def spoil(
 ) -> Tensor:
     """Spoil part of a batch in place; cells that no longer show the skin lose their depth and contact.
 
-    Parameters
-    ----------
-    maps, references, height, contact : Tensor (B, cells, cells)
-        White of the frames and of their sensors at rest, and the frames' true height and contact.
-    part : float
-        Share of the frames to spoil.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Tensor (B, cells, cells)
-        1 where a cell does not show the sensor's skin.
+    `maps`, `references`, `height`, `contact`: white of the frames and of their sensors at rest, and the frames' true
+    height and contact. `part`: share of the frames to spoil. Returns (Tensor (B, cells, cells)): 1 where a cell does
+    not show the sensor's skin.
     """
     cells, device = maps.shape[-1], maps.device
     axis = (torch.arange(cells, device=device) + 0.5 - cells / 2) * (2 * disc_map.REACH / cells)

@@ -35,17 +35,9 @@ LEAST_CELLS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
-    """A twin's frames for a network.
-
-    Attributes
-    ----------
-    fold : int
-    known : Tensor float32 (6, N, N)
-    reference, white : Tensor uint8 (S or F, cells, cells)
-    sensor : Tensor int64 (F,)
-    height : Tensor float16 (F, cells, cells), in disc radii
-    contact : Tensor bool (F, cells, cells)
-    shear : Tensor float32 (F, 2, COARSE_CELLS, COARSE_CELLS), in disc radii
+    """A twin's frames for a network. `known`: Tensor float32 (6, N, N). `reference`, `white`: Tensor uint8 (S or F,
+    cells, cells). `sensor`: Tensor int64 (F,). `height`: Tensor float16 (F, cells, cells), in disc radii. `contact`:
+    Tensor bool (F, cells, cells). `shear`: Tensor float32 (F, 2, COARSE_CELLS, COARSE_CELLS), in disc radii.
     """
 
     fold: int

@@ -48,16 +48,9 @@ TWO_SCALES_PART, UNEVEN_PART = 0.3, 0.3
 class Frames:
     """Frames of several sensors with the same skins; lengths are in disc radii.
 
-    Attributes
-    ----------
-    reference : dict of str to uint8 (S, N, N)
-        White of each sensor at rest, for `WHOLE` and `HALVED`.
-    white : dict of str to uint8 (F, N, N)
-    height : float16 (F, N, N)
-    contact : bool (F, N, N)
-    shear : float16 (F, N / 2, N / 2, 2)
-    sensor : int64 (F,)
-        Each frame's row in `reference`.
+    `reference` (dict of str to uint8 (S, N, N)): white of each sensor at rest, for `WHOLE` and `HALVED`. `white`: dict
+    of str to uint8 (F, N, N). `height`: float16 (F, N, N). `contact`: bool (F, N, N). `shear`: float16 (F, N / 2, N /
+    2, 2). `sensor` (int64 (F,)): each frame's row in `reference`.
     """
 
     reference: dict[str, U8]

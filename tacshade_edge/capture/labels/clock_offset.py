@@ -38,16 +38,8 @@ def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
     Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a parabola through the
     greatest correlation and its neighbours locates the peak between the steps.
 
-    Parameters
-    ----------
-    presses : sequence of Press
-    t_s, force : float64 (m,)
-        The scale's readings and their arrival times, ascending.
-
-    Raises
-    ------
-    ValueError
-        ``found …, expected …``: why the offset cannot be found.
+    `t_s`, `force` (float64 (m,)): the scale's readings and their arrival times, ascending. Raises ValueError (``found
+    …, expected …``: why the offset cannot be found).
     """
     lags = [lag for press in presses if (lag := _lag_s(press, t_s, force)) is not None]
     if len(lags) < PRESSES_LEAST:

@@ -13,14 +13,7 @@ from tacshade_edge.types import Frame
 
 
 class RobotLabels:
-    """Labels relative to the pose at first touch.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        Has ``flange_T_sensor``.
-    pose_at : PoseAt
-    """
+    """Labels relative to the pose at first touch. `sensor`: has ``flange_T_sensor``."""
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
         self._skin_radius_mm = sensor.skin_radius_mm
@@ -54,12 +47,7 @@ def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str,
     (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is
     R_y(tilt_y) R_x(tilt_x) R_z(twist).
 
-    Parameters
-    ----------
-    first, now : Rigid
-        ``base_T_sensor``.
-    skin_radius_mm : float
-        r.
+    `first`, `now`: ``base_T_sensor``. `skin_radius_mm`: r.
     """
     moved = now.inverse() @ first
     x, y, z = moved.apply(np.array((0.0, 0.0, skin_radius_mm))).tolist()

@@ -28,12 +28,7 @@ def scale_port(text: str) -> SerialPort:
 
 
 class Scale:
-    """A scale that a thread reads from `open` to `close`.
-
-    Parameters
-    ----------
-    port : SerialPort
-    """
+    """A scale that a thread reads from `open` to `close`."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port

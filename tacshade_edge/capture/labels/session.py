@@ -37,17 +37,7 @@ _HELP = """  Enter            record a press: press, lift, then Enter; needs a s
 
 
 class LabelSession:
-    """One run of the command on a folder that may already hold an earlier run's frames.
-
-    Parameters
-    ----------
-    folder : LabelFolder
-    live : Live
-    terminal : Terminal
-    scale : Scale, optional
-        Already open.
-    robot : RobotLabels, optional
-    """
+    """One run of the command on a folder that may already hold an earlier run's frames. `scale`: already open."""
 
     def __init__(
         self, folder: LabelFolder, live: Live, terminal: Terminal, scale: Scale | None, robot: RobotLabels | None
@@ -65,12 +55,8 @@ class LabelSession:
         self._unaligned = self._unposed = ""
 
     def run(self) -> None:
-        """Take rest and tare, then labelled frames until the person ends the run.
-
-        Raises
-        ------
-        InputEnded, DeviceError, ConfigError
-            The folder keeps what was taken before.
+        """Take rest and tare, then labelled frames until the person ends the run. Raises InputEnded, DeviceError,
+        ConfigError (the folder keeps what was taken before).
         """
         if self._rows:
             self._terminal.say(f"this folder already has {len(self._rows)} labelled pictures")

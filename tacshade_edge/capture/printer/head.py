@@ -23,13 +23,7 @@ _POSITION_MM, _POSITION_STEPS = 0.015, 1.5
 
 
 class KeypressStop:
-    """A check for keypresses at a terminal.
-
-    Parameters
-    ----------
-    terminal : Terminal
-        Inside its `keys` context while anything moves.
-    """
+    """A check for keypresses at a terminal. `terminal`: inside its `keys` context while anything moves."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
@@ -45,23 +39,9 @@ class KeypressStop:
 
 
 class Head:
-    """The head over one sensor.
-
-    Parameters
-    ----------
-    line : PrinterLine
-        Connected.
-    limits : PrinterFile
-    keypress : KeypressStop
-
-    Attributes
-    ----------
-    is_certain : bool
-        Whether the printer has answered every command and reported the place that the head was sent to.
-    was_moved : bool
-        Whether the head has been sent anywhere or homed.
-    free_z_mm : float
-        Lowest height at which nothing is in the head's way; it moves sideways only there or higher.
+    """The head over one sensor. `line`: connected. `is_certain`: whether the printer has answered every command and
+    reported the place that the head was sent to. `was_moved`: whether the head has been sent anywhere or homed.
+    `free_z_mm`: lowest height at which nothing is in the head's way; it moves sideways only there or higher.
     """
 
     def __init__(self, line: PrinterLine, limits: PrinterFile, keypress: KeypressStop) -> None:
@@ -113,16 +93,9 @@ class Head:
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 
     def to(self, z_mm: float) -> None:
-        """Move straight up or down.
-
-        Raises
-        ------
-        Stopped
-            A key was pressed; raised between two parts of the move.
-        SafetyStop
-            The move leaves the limits, or the printer does not answer, reports an error or reports another position.
-        DeviceError
-            The line is lost.
+        """Move straight up or down. Raises Stopped (a key was pressed; raised between two parts of the move),
+        SafetyStop (the move leaves the limits, or the printer does not answer, reports an error or reports another
+        position), DeviceError (the line is lost).
         """
         x, y, _ = self._place_mm.tolist()
         self._go((x, y, z_mm), DOWN_MM_S)

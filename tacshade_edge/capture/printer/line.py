@@ -62,25 +62,10 @@ class PrinterLine:
     ) -> tuple[str, ...]:
         """Send a command and wait for its answer.
 
-        Parameters
-        ----------
-        command : str
-        limit_s : float
-            Longest time without an answer or a report that the printer is busy.
-        while_waiting : callable, optional
-            Called repeatedly during the wait; an exception from it ends the wait.
-
-        Returns
-        -------
-        tuple of str
-            The other lines of the answer.
-
-        Raises
-        ------
-        SafetyStop
-            The printer does not answer, reports an error, resets or sends one answer too many.
-        DeviceError
-            The port is lost.
+        `limit_s`: longest time without an answer or a report that the printer is busy. `while_waiting`: called
+        repeatedly during the wait; an exception from it ends the wait. Returns: the other lines of the answer. Raises
+        SafetyStop (the printer does not answer, reports an error, resets or sends one answer too many), DeviceError
+        (the port is lost).
         """
         self._check_failure(command)
         self._write(self._exchange.begin(command))

@@ -23,16 +23,8 @@ _DEEPEST_RADII = 1 / 3
 
 @dataclass(frozen=True, slots=True)
 class PlannedPress:
-    """A press that the plan asks for.
-
-    Attributes
-    ----------
-    stated : Stated
-        The press as the plan states it.
-    indenter : Indenter or float
-        A float is a ball's radius in mm.
-    x_mm, y_mm, depth_mm : float
-        Place and depth, defined as in PRESSES.csv.
+    """A press that the plan asks for. `stated`: the press as the plan states it. `indenter`: a float is a ball's radius
+    in mm. `x_mm`, `y_mm`, `depth_mm`: place and depth, defined as in PRESSES.csv.
     """
 
     stated: Stated
@@ -61,13 +53,8 @@ class PlannedPress:
 def planned_presses(
     plan: Sequence[Stated], indenters: Mapping[str, Indenter | float], sensor: Sensor, limits: PrinterFile
 ) -> tuple[PlannedPress, ...]:
-    """Check a plan and return its presses.
-
-    Raises
-    ------
-    ConfigError
-        A press has no place, lies outside the camera's view or the printer's limits, has no travel or too much, or
-        states yaw, tilt or shear; or no press is with a ball.
+    """Check a plan and return its presses. Raises ConfigError (a press has no place, lies outside the camera's view or
+    the printer's limits, has no travel or too much, or states yaw, tilt or shear; or no press is with a ball).
     """
     presses = tuple(_planned(stated, indenters) for stated in plan)
     for press in presses:

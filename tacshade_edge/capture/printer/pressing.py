@@ -37,20 +37,7 @@ _VISIBLE_PART = 0.6
 
 
 class Pressing:
-    """One run of ``capture --printer``.
-
-    Parameters
-    ----------
-    session : Session
-        Holds the references and the table of presses.
-    live : Live
-    terminal : Terminal
-    line : PrinterLine
-        Connected.
-    limits : PrinterFile
-    sensor : Sensor
-    presses : sequence of PlannedPress
-    """
+    """One run of ``capture --printer``. `session`: holds the references and the table of presses. `line`: connected."""
 
     def __init__(
         self,
@@ -75,13 +62,8 @@ class Pressing:
         self._ball, self._ball_mm = next((p.name, p.indenter) for p in presses if isinstance(p.indenter, float))
 
     def run(self) -> None:
-        """Take the remaining presses of the plan.
-
-        Raises
-        ------
-        DeviceError
-            The run stopped: states why, and what was done with the head. The folder keeps what was taken before.
-        InputEnded
+        """Take the remaining presses of the plan. Raises DeviceError (the run stopped: states why, and what was done
+        with the head. The folder keeps what was taken before), InputEnded.
         """
         try:
             with _ended_by_signals():
@@ -236,28 +218,9 @@ def locate_sensor(
 ) -> tuple[Stand, float]:
     """Find where the sensor stands; a ball is mounted in the head.
 
-    Parameters
-    ----------
-    touch : Touch
-        Its head is free, above the start.
-    start_mm : (x, y)
-    ball_mm : float
-        The ball's radius.
-    sensor : Sensor
-    unloaded : Calibration
-        From the references.
-
-    Returns
-    -------
-    stand : Stand
-    rms_mm : float
-        Distance of the touches from the fitted skin, root mean square.
-
-    Raises
-    ------
-    ConfigError
-        The touches or pictures do not fit this sensor.
-    Stopped, SafetyStop, DeviceError
+    `touch`: its head is free, above the start. `ball_mm`: the ball's radius. `unloaded`: from the references. Returns
+    `rms_mm`: distance of the touches from the fitted skin, root mean square. Raises ConfigError (the touches or
+    pictures do not fit this sensor), Stopped, SafetyStop, DeviceError.
     """
     r, start = sensor.skin_radius_mm, np.array(start_mm)
     touch.detector.learn_rest()

@@ -46,15 +46,8 @@ class Step:
 
 
 def descent(from_z_mm: float, touch_z_mm: float, to_z_mm: float) -> Iterator[Step]:
-    """Yield steps straight down, the last one exactly to `to_z_mm`; none if that is not below `from_z_mm`.
-
-    Parameters
-    ----------
-    from_z_mm : float
-        Where the head is.
-    touch_z_mm : float
-        Where the indenter is expected to touch.
-    to_z_mm : float
+    """Yield steps straight down, the last one exactly to `to_z_mm`; none if that is not below `from_z_mm`. `from_z_mm`:
+    where the head is. `touch_z_mm`: where the indenter is expected to touch.
     """
     z = from_z_mm
     while z > to_z_mm:
@@ -85,15 +78,7 @@ _FREE_WAIT_S, _STILL_MOST_S = 15.0, 20.0
 
 
 class ContactDetector:
-    """Contact between indenter and skin, detected from the camera's pictures.
-
-    Parameters
-    ----------
-    live : Live
-    check : PressCheck
-        Made from the references.
-    keypress : KeypressStop
-    """
+    """Contact between indenter and skin, detected from the camera's pictures. `check`: made from the references."""
 
     def __init__(self, live: Live, check: PressCheck, keypress: KeypressStop) -> None:
         self._live = live
@@ -113,12 +98,8 @@ class ContactDetector:
         self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
 
     def learn_free(self) -> None:
-        """Wait until the skin has come to rest below the head, and keep its picture as that of the free skin.
-
-        Raises
-        ------
-        SafetyStop
-            The picture still shows contact or motion after `_FREE_WAIT_S`; and as `look`.
+        """Wait until the skin has come to rest below the head, and keep its picture as that of the free skin. Raises
+        SafetyStop (the picture still shows contact or motion after `_FREE_WAIT_S`; and as `look`).
         """
         end_s = time.monotonic() + _FREE_WAIT_S
         before, _ = self._look()
@@ -134,15 +115,9 @@ class ContactDetector:
             before = now
 
     def look(self) -> bool:
-        """Whether anything touches the skin, compared with the free skin of `learn_free`.
-
-        Raises
-        ------
-        SafetyStop
-            The camera repeats one picture, has moved, delivers too few frames, or delivers unusable ones.
-        Stopped
-        DeviceError
-            The camera is lost.
+        """Whether anything touches the skin, compared with the free skin of `learn_free`. Raises SafetyStop (the camera
+        repeats one picture, has moved, delivers too few frames, or delivers unusable ones), Stopped, DeviceError (the
+        camera is lost).
         """
         assert self._free is not None  # a search begins with a free skin
         now, judged = self._look()
@@ -194,14 +169,8 @@ _LOWER_MM = 3.0
 
 
 class Touch:
-    """Moves of one head watched by one camera. All raise Stopped, SafetyStop and DeviceError.
-
-    Parameters
-    ----------
-    head : Head
-    detector : ContactDetector
-    least_z_mm : float
-        The printer's lowest allowed z.
+    """Moves of one head watched by one camera. All raise Stopped, SafetyStop and DeviceError. `least_z_mm`: the
+    printer's lowest allowed z.
     """
 
     def __init__(self, head: Head, detector: ContactDetector, least_z_mm: float) -> None:

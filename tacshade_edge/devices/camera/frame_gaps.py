@@ -13,15 +13,12 @@ _REGULAR = 0.2  # relative: an interval this near the period is one period, howe
 class FrameGaps:
     """A counter of the frames missing between consecutive time stamps, given the measured period.
 
-    The stated or requested rate is not used: cameras run at another one. The period is the sum of the last 64
-    intervals divided by the number of periods in them, starting from their lower quartile. The estimate is valid
-    while less than a third of the frames are lost and the stamps are off by less than 15 % of the period. A camera
-    that halves its rate looks like one that loses every second frame until the window has been replaced.
+    The stated or requested rate is not used: cameras run at another one. The period is the sum of the last 64 intervals
+    divided by the number of periods in them, starting from their lower quartile. The estimate is valid while less than
+    a third of the frames are lost and the stamps are off by less than 15 % of the period. A camera that halves its rate
+    looks like one that loses every second frame until the window has been replaced.
 
-    Attributes
-    ----------
-    period_ns : float
-        The measured frame period in ns; 0 before the first interval.
+    `period_ns`: the measured frame period in ns; 0 before the first interval.
     """
 
     def __init__(self) -> None:

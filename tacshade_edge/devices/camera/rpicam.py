@@ -47,21 +47,10 @@ class RpicamSource:
 
     All methods belong to one thread, except `dropped` and `describe`.
 
-    Parameters
-    ----------
-    camera : int
-        Number of the camera in ``rpicam-vid --list-cameras``.
-    width_px, height_px : int
-        The width is a multiple of 64.
-    fps : float
-    exposure_us : int
-        Locked exposure time.
-    gain : float
-        Locked gain of the sensor.
-    lens_position : float, optional
-        Locked focus in dioptres, if the lens moves; by default the camera's own resting place.
-    sensor_mode : str, optional
-        ``WIDTH:HEIGHT`` of the sensor's mode; by default rpicam-vid chooses, for small images often a cropped one.
+    `camera`: number of the camera in ``rpicam-vid --list-cameras``. `width_px`, `height_px`: the width is a multiple of
+    64. `exposure_us`: locked exposure time. `gain`: locked gain of the sensor. `lens_position`: locked focus in
+    dioptres, if the lens moves; by default the camera's own resting place. `sensor_mode`: ``WIDTH:HEIGHT`` of the
+    sensor's mode; by default rpicam-vid chooses, for small images often a cropped one.
     """
 
     def __init__(
@@ -103,14 +92,9 @@ class RpicamSource:
         return self._dropped
 
     def open(self) -> None:
-        """Start the program and read until a frame has the requested exposure; the next `read` returns it.
-
-        Raises
-        ------
-        DeviceError
-            The program or camera is absent, the camera is in use, or it delivers no frame.
-        ConfigError
-            The camera rejects the exposure or the gain; or its lines are longer than the image is wide.
+        """Start the program and read until a frame has the requested exposure; the next `read` returns it. Raises
+        DeviceError (the program or camera is absent, the camera is in use, or it delivers no frame), ConfigError (the
+        camera rejects the exposure or the gain; or its lines are longer than the image is wide).
         """
         self.close()
         self._gaps = FrameGaps()

@@ -28,12 +28,7 @@ class SimulatedSource:
     that fell due before the reader requested it is dropped and counted. Each frame is drawn when it is read, which
     takes 10 to 40 ms, or 60 to 170 ms at each of the few places of a dragged object.
 
-    Parameters
-    ----------
-    fps : float
-    model : SensorModel, optional
-    script : Script, optional
-        The presses of each frame; by default every object in turn.
+    `script`: the presses of each frame; by default every object in turn.
     """
 
     def __init__(self, *, fps: float, model: SensorModel | None = None, script: Script | None = None) -> None:

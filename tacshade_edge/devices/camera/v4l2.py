@@ -42,25 +42,13 @@ class V4l2Source:
     """A `FrameSource` (devices.base) on a V4L2 camera; frames are grey, the luma that the camera sent.
 
     The luma of YUYV, NV12 and GREY is passed on unchanged, never rescaled from the video range; MJPG is decoded to
-    grey. Exposure and white balance are locked if the driver has the controls. All methods belong to one thread,
-    except `dropped` and `describe`.
+    grey. Exposure and white balance are locked if the driver has the controls. All methods belong to one thread, except
+    `dropped` and `describe`.
 
-    Parameters
-    ----------
-    device : str
-        Path of the node, preferably under /dev/v4l/by-id: numbers change when cables are moved.
-    width_px, height_px : int
-    fps : float
-        Requested rate; the driver may choose another. `describe` reports the stated and the measured rate.
-    fourcc : str
-        MJPG, YUYV, NV12 or GREY.
-    exposure : int or None
-        In the driver's unit (100 µs for USB cameras); None keeps its value. Automatic exposure is off either way.
-
-    Raises
-    ------
-    ConfigError
-        The arguments suit no camera.
+    `device`: path of the node, preferably under /dev/v4l/by-id: numbers change when cables are moved. `fps`: requested
+    rate; the driver may choose another. `describe` reports the stated and the measured rate. `fourcc`: MJPG, YUYV, NV12
+    or GREY. `exposure`: in the driver's unit (100 µs for USB cameras); None keeps its value. Automatic exposure is off
+    either way. Raises ConfigError (the arguments suit no camera).
     """
 
     def __init__(
@@ -94,14 +82,10 @@ class V4l2Source:
     def open(self) -> None:
         """Check the node, negotiate, lock the controls, and read one frame for the next `read` to return.
 
-        Raises
-        ------
-        DeviceError
-            The device is absent, does not capture, is busy, or delivers no frame.
-        ConfigError
-            The path exists but is no video device; or the device chose another format, size or exposure: drivers
-            choose these by the request alone, so repeating it cannot help. A configuration that has worked raises
-            DeviceError instead: then the device has changed.
+        Raises DeviceError (the device is absent, does not capture, is busy, or delivers no frame), ConfigError (the
+        path exists but is no video device; or the device chose another format, size or exposure: drivers choose these
+        by the request alone, so repeating it cannot help. A configuration that has worked raises DeviceError instead:
+        then the device has changed).
         """
         self.close()
         try:
@@ -266,19 +250,9 @@ class V4l2Source:
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
     """Decode one buffer of a camera into a grey image.
 
-    Parameters
-    ----------
-    raw : uint8 (N,)
-        The bytes that the driver filled.
-    fourcc : str
-        MJPG, YUYV, NV12 or GREY.
-    height_px, width_px : int
-
-    Returns
-    -------
-    uint8 (height_px, width_px), or None
-        None if the bytes are not one whole image of that size. A JPEG must contain its end marker; damage between
-        the markers can go unnoticed, as the decoder paints over it.
+    `raw` (uint8 (N,)): the bytes that the driver filled. `fourcc`: MJPG, YUYV, NV12 or GREY. Returns (uint8 (height_px,
+    width_px), or None): none if the bytes are not one whole image of that size. A JPEG must contain its end marker;
+    damage between the markers can go unnoticed, as the decoder paints over it.
     """
     if fourcc == "MJPG":
         return _decode_jpeg(raw, height_px, width_px)

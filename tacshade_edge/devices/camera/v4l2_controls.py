@@ -36,13 +36,8 @@ class Lock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A control as read back from the driver.
-
-    Attributes
-    ----------
-    lock : Lock
-    value : float or None
-        The driver's value, in its unit; None if it has no such control or does not report it.
+    """A control as read back from the driver. `value`: the driver's value, in its unit; None if it has no such control
+    or does not report it.
     """
 
     lock: Lock

@@ -30,12 +30,8 @@ _EXPECTED = "expected a video device such as /dev/video0 or one under /dev/v4l/b
 
 
 def check_kind(device: str) -> None:
-    """Reject an existing path that can never be a camera; an absent device may still appear.
-
-    Raises
-    ------
-    ConfigError
-        A file, a directory, or a device of another class.
+    """Reject an existing path that can never be a camera; an absent device may still appear. Raises ConfigError (a
+    file, a directory, or a device of another class).
     """
     try:
         status = os.stat(device)
@@ -52,14 +48,8 @@ def check_kind(device: str) -> None:
 
 
 def check_node(device: str) -> str:
-    """Return the name of the camera behind a device node.
-
-    Raises
-    ------
-    ConfigError
-        As `check_kind`.
-    DeviceError
-        The node is absent, does not capture video, or may not be opened; the message says which, in one line.
+    """Return the name of the camera behind a device node. Raises ConfigError (as `check_kind`), DeviceError (the node
+    is absent, does not capture video, or may not be opened; the message says which, in one line).
     """
     with _opened(device) as fd:
         capability = bytearray(104)

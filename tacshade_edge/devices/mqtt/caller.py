@@ -22,21 +22,8 @@ CONNECT_S = 5.0
 
 
 class MqttCaller:
-    """One client of one daemon.
-
-    Parameters
-    ----------
-    broker : BrokerAddress
-    sensor_id : str
-    verb : str
-        Verb of the requests.
-    watched : sequence of str
-        Retained topics to follow, such as ``state``.
-
-    Raises
-    ------
-    ConfigError
-        A host name or authority file that can never work.
+    """One client of one daemon. `verb`: verb of the requests. `watched`: retained topics to follow, such as ``state``.
+    Raises ConfigError (a host name or authority file that can never work).
     """
 
     def __init__(self, broker: BrokerAddress, *, sensor_id: str, verb: str, watched: tuple[str, ...]) -> None:
@@ -66,12 +53,8 @@ class MqttCaller:
             raise DeviceError(f"{self._where}: {reason}; expected a broker", code=reason.code)
 
     def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
-        """Send a request and return its result.
-
-        Raises
-        ------
-        DeviceError
-            The daemon or the broker rejected it, or the daemon did not answer.
+        """Send a request and return its result. Raises DeviceError (the daemon or the broker rejected it, or the daemon
+        did not answer).
         """
         transaction, self._denied = secrets.token_hex(8), None
         payload = json.dumps({**body, "transaction": transaction}).encode()

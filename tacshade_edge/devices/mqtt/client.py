@@ -42,12 +42,8 @@ class BrokerAddress(TypedDict):
 
 
 class Session(Client):
-    """paho's client, which reconnects by itself and which no broker's message can end.
-
-    Attributes
-    ----------
-    malformed : int
-        Number of messages dropped because their topic is not UTF-8: paho raises when a callback reads it.
+    """paho's client, which reconnects by itself and which no broker's message can end. `malformed`: number of messages
+    dropped because their topic is not UTF-8: paho raises when a callback reads it.
     """
 
     malformed = 0
@@ -111,10 +107,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
     It uses MQTT 5, since only a version 5 connection receives a request's response topic and correlation data;
     subscribers of version 3.1.1 still receive what it publishes.
 
-    Raises
-    ------
-    ConfigError
-        A host name, topic or authority file that can never work.
+    Raises ConfigError (a host name, topic or authority file that can never work).
     """
     tls_ca = broker["tls_ca"]
     _check(broker["host"], base_topic)

@@ -41,16 +41,8 @@ def new_instance() -> dict[str, str | int]:
 
 
 class ClientIdGuard:
-    """A watch on a name over a connection with another one; only the link's paho thread uses it.
-
-    Parameters
-    ----------
-    client : Session
-        Without a client ID, not connected.
-    host, port : str, int
-    base_topic : str
-    instance : dict
-        This daemon's `new_instance`.
+    """A watch on a name over a connection with another one; only the link's paho thread uses it. `client`: without a
+    client ID, not connected. `instance`: this daemon's `new_instance`.
     """
 
     def __init__(self, client: Session, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
@@ -76,16 +68,8 @@ class ClientIdGuard:
 
         It also returns if the broker rejects the query: connecting will show why.
 
-        Parameters
-        ----------
-        report : callable
-            Receives the reason, which names the holder, repeatedly.
-        stopped : callable
-
-        Raises
-        ------
-        OSError
-            No connection, or it was lost; call again.
+        `report`: receives the reason, which names the holder, repeatedly. Raises OSError (no connection, or it was
+        lost; call again).
         """
         self._begin()
         self._client.will_set(self._rival, b"", qos=1, retain=True)

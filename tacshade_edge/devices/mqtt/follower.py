@@ -21,18 +21,9 @@ _INCOMING_BYTES_MAX: Final = 1 << 26
 
 
 class Follower:
-    """A client of the broker that reconnects by itself and logs each failure in one line.
-
-    Parameters
-    ----------
-    broker : BrokerAddress
-    on_message : callable
-        ``on_message(topic, payload, retained)``, called in paho's thread; an exception leaves that thread.
-
-    Raises
-    ------
-    ConfigError
-        A host name or authority file that can never work.
+    """A client of the broker that reconnects by itself and logs each failure in one line. `on_message`:
+    ``on_message(topic, payload, retained)``, called in paho's thread; an exception leaves that thread. Raises
+    ConfigError (a host name or authority file that can never work).
     """
 
     def __init__(self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None]) -> None:

@@ -12,15 +12,7 @@ from tacshade_edge.protocol.requests import Request, encode_error, parse_request
 
 @dataclass(frozen=True, slots=True)
 class BadRequest:
-    """A rejected request.
-
-    Attributes
-    ----------
-    topic : str or None
-        Topic for `answer`, below the base topic; None if it cannot be answered.
-    answer : bytes
-    correlation : bytes or None
-    """
+    """A rejected request. `topic`: topic for `answer`, below the base topic; None if it cannot be answered."""
 
     topic: str | None
     answer: bytes

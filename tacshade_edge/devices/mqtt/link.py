@@ -37,25 +37,12 @@ _log = logging.getLogger(__name__)
 class MqttLink(Outgoing):
     """A connection that publishes streams, retained values and replies, and receives requests.
 
-    Parameters
-    ----------
-    host, port : str, int
-    base_topic : str
-        ``tacshade/<sensor-id>``, without a slash at either end.
-    client_id : str
-        Fixed per sensor: a new connection must take over from a dead one, including its will. It does not take over
-        from a live one: while another daemon uses the sensor's name, this one waits.
-    username, password : str or None
-    tls_ca : str or None
-        PEM file of the authority that signed the broker's certificate; None disables TLS.
-    on_request, on_outcome : callable
-        Called from paho's network thread or from the caller of `offer`; they must only count or enqueue.
-        `on_outcome` receives (stream, seq, outcome) once per offered payload.
-
-    Raises
-    ------
-    ConfigError
-        A host name, topic or authority file that can never work.
+    `base_topic`: ``tacshade/<sensor-id>``, without a slash at either end. `client_id`: fixed per sensor: a new
+    connection must take over from a dead one, including its will. It does not take over from a live one: while another
+    daemon uses the sensor's name, this one waits. `tls_ca`: PEM file of the authority that signed the broker's
+    certificate; None disables TLS. `on_request`, `on_outcome`: called from paho's network thread or from the caller of
+    `offer`; they must only count or enqueue. `on_outcome` receives (stream, seq, outcome) once per offered payload.
+    Raises ConfigError (a host name, topic or authority file that can never work).
     """
 
     def __init__(

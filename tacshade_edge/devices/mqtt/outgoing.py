@@ -52,17 +52,8 @@ class _Sent(NamedTuple):
 
 
 class Outgoing:
-    """The payloads on their way to one broker.
-
-    Parameters
-    ----------
-    client : Session
-        This object receives its answers.
-    where : str
-        Name of the broker in the log.
-    base_topic : str
-    on_outcome : callable
-        Receives (stream, seq, outcome) once per offered payload.
+    """The payloads on their way to one broker. `client`: this object receives its answers. `where`: name of the broker
+    in the log. `on_outcome`: receives (stream, seq, outcome) once per offered payload.
     """
 
     def __init__(

@@ -8,13 +8,7 @@ _log = logging.getLogger(__name__)
 
 
 class Refusals:
-    """The topics that are rejected now. It has no lock: its owner guards it.
-
-    Parameters
-    ----------
-    where : str
-        Name of the broker in the log.
-    """
+    """The topics that are rejected now. It has no lock: its owner guards it. `where`: name of the broker in the log."""
 
     def __init__(self, where: str) -> None:
         self._where = where

@@ -19,13 +19,8 @@ _FIRST_RETRY_NS, _LAST_RETRY_NS = 60_000_000_000, 3_600_000_000_000
 @dataclass(slots=True)
 class SizeLimit:
     """What is known of a broker's limit. Sizes are in bytes on the wire. It has no lock: its owner guards it.
-
-    Attributes
-    ----------
-    announced : int or None
-        The largest packet according to the broker; None if it set no limit.
-    why : str
-        How the limit showed, once a message was too large; empty before.
+    `announced`: the largest packet according to the broker; None if it set no limit. `why`: how the limit showed, once
+    a message was too large; empty before.
     """
 
     announced: int | None = None

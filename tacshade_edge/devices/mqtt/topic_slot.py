@@ -29,27 +29,12 @@ class Item:
 class TopicSlot:
     """The latest-wins slot of one topic. It has no lock: its owner guards it.
 
-    Attributes
-    ----------
-    topic : str
-    qos : int
-    retain : bool
-        The newest retained value is sent again on every connection, and has no outcome.
-    most : int
-        How many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1).
-    properties : Properties
-    waiting : Item or None
-        The payload in the slot.
-    handed : list of Item
-        The items that paho holds, oldest first.
-    busy : bool
-        True while a thread is between `take` and the end of its publish; no other may `take`, which keeps the order.
-    probed_ns : int or None
-        Time of the latest probe for subscribers, CLOCK_MONOTONIC; None before the first.
-    no_listener : bool
-        The broker's latest answer reported no subscribers.
-    refused : bool or None
-        The broker's latest answer rejected the message; None before the first answer of a connection.
+    `retain`: the newest retained value is sent again on every connection, and has no outcome. `most`: how many payloads
+    paho may hold unsent (QoS 0) or unacknowledged (QoS 1). `waiting`: the payload in the slot. `handed`: the items that
+    paho holds, oldest first. `busy`: true while a thread is between `take` and the end of its publish; no other may
+    `take`, which keeps the order. `probed_ns`: time of the latest probe for subscribers, CLOCK_MONOTONIC; None before
+    the first. `no_listener`: the broker's latest answer reported no subscribers. `refused`: the broker's latest answer
+    rejected the message; None before the first answer of a connection.
     """
 
     topic: str

@@ -30,14 +30,9 @@ _CAUSES = {
 class SerialPort:
     """One port, opened and closed as often as needed. All methods belong to one thread, except `wake`.
 
-    Parameters
-    ----------
-    device : str
-        A path under /dev, preferably under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``).
-    baud : int
-        Bits per second; USB devices without a UART ignore it.
-    write_s : float
-        Longest time that `write` waits, s. On a busy board, pyserial counts the time when the program does not run.
+    `device`: a path under /dev, preferably under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``). `baud`:
+    bits per second; USB devices without a UART ignore it. `write_s`: longest time that `write` waits, s. On a busy
+    board, pyserial counts the time when the program does not run.
     """
 
     def __init__(self, device: str, baud: int, write_s: float = WRITE_S) -> None:
@@ -50,14 +45,8 @@ class SerialPort:
         self._closing = threading.Lock()  # the number of a closed descriptor may already be reused
 
     def open(self) -> None:
-        """Open the port for exclusive use.
-
-        Raises
-        ------
-        DeviceError
-            Absent, in use, no permission.
-        ConfigError
-            It can never work: not a device, an unknown kind of URL. A port that has worked raises DeviceError.
+        """Open the port for exclusive use. Raises DeviceError (absent, in use, no permission), ConfigError (it can
+        never work: not a device, an unknown kind of URL. A port that has worked raises DeviceError).
         """
         self.close()
         try:
