@@ -117,14 +117,7 @@ class ReasonCode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """One failure's code and text.
-
-    Attributes
-    ----------
-    code : ReasonCode
-    text : str
-        One line.
-    """
+    """One failure's code and text. `text`: one line."""
 
     code: ReasonCode
     text: str

@@ -10,18 +10,9 @@ from typing import BinaryIO
 
 
 def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
-    """Open a file for reading; refuse a pipe, a device or a folder before it can hang or never end.
-
-    Parameters
-    ----------
-    path : path
-    bytes_max : int
-        Greatest accepted size.
-
-    Raises
-    ------
-    OSError
-        The file is absent, unreadable, not a regular file, or too large; `strerror` says which, in words for a person.
+    """Open a file for reading; refuse a pipe, a device or a folder before it can hang or never end. `bytes_max`:
+    greatest accepted size. Raises OSError (the file is absent, unreadable, not a regular file, or too large; `strerror`
+    says which, in words for a person).
     """
     try:
         # Without O_NONBLOCK, opening a pipe would wait for a writer.

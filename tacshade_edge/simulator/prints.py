@@ -17,13 +17,8 @@ _MARKER_CORNERS = 12
 
 @dataclass(frozen=True, slots=True)
 class PinProfile:
-    """The pin's outline between base and tip, as cones between rings.
-
-    Attributes
-    ----------
-    rings : tuple of (height, of base, of tip)
-        Each ring's height (0 at the base, 1 at the tip) and its radius, the sum of a part of the base's radius and a
-        part of the tip's.
+    """The pin's outline between base and tip, as cones between rings. `rings`: each ring's height (0 at the base, 1 at
+    the tip) and its radius, the sum of a part of the base's radius and a part of the tip's.
     """
 
     rings: tuple[tuple[float, float, float], ...]
@@ -40,15 +35,9 @@ FRUSTUM, CAP = PinProfile(()), PinProfile(((1.0, 0.7, 0.0),))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """The printed features of one sensor, on the undeformed skin.
-
-    Attributes
-    ----------
-    marker_chart_mm : float (M, corners, 2)
-        Outlines of the markers in the skin's chart; they are on the skin and deform with it.
-    pin_chart_mm : float (P, 2)
-        Positions of the pins in the skin's chart.
-    pin_base_mm, pin_tip_mm, pin_length_mm : float (P,)
+    """The printed features of one sensor, on the undeformed skin. `marker_chart_mm` (float (M, corners, 2)): outlines
+    of the markers in the skin's chart; they are on the skin and deform with it. `pin_chart_mm` (float (P, 2)):
+    positions of the pins in the skin's chart. `pin_base_mm`, `pin_tip_mm`, `pin_length_mm`: float (P,).
     """
 
     marker_chart_mm: F64

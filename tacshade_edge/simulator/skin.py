@@ -38,28 +38,15 @@ Solver = Callable[[F32, F32], F32]
 class Skin:
     """A deformed skin.
 
-    Attributes
-    ----------
-    radius_mm : float
-    step_mm : float
-        Chart distance between nodes; node (i, j) has chart coordinates ((j - n) step, (i - n) step) with n the
-        middle index.
-    height_mm : float32 (2n+1, 2n+1)
-        h at the nodes, mm.
-    obstacle_mm : float32 (2n+1, 2n+1)
-        The least `pressed_mm` that keeps the skin outside the objects; 0 where the node's ray meets none.
-    leaning_mm : float32 (2n+1, 2n+1) or None
-        Part of h due to the leaning dome, negative where it moves outwards.
-    origin_mm : float32 (2n+1, 2n+1, 2) or None
-        Chart coordinates without drag and sway of the material now at a node, minus the node's own.
-    stuck : tuple of float
-        For each press, if one drags: the part of its contact in which the skin moves with it.
-    slid_mm : tuple of (float, float)
-        For each press, if one drags: how far along x and y it has moved ahead of the skin in contact, on average.
-    loads : tuple of Load
-        Load of each press, if one drags (`drag.loads_of` computes them otherwise).
-    rest_mm : float32 (2n+1, 2n+1) or None
-        Part of `pressed_mm` that remains without load, for a skin that creeps.
+    `step_mm`: chart distance between nodes; node (i, j) has chart coordinates ((j - n) step, (i - n) step) with n the
+    middle index. `height_mm` (float32 (2n+1, 2n+1)): h at the nodes, mm. `obstacle_mm` (float32 (2n+1, 2n+1)): the
+    least `pressed_mm` that keeps the skin outside the objects; 0 where the node's ray meets none. `leaning_mm` (float32
+    (2n+1, 2n+1) or None): part of h due to the leaning dome, negative where it moves outwards. `origin_mm` (float32
+    (2n+1, 2n+1, 2) or None): chart coordinates without drag and sway of the material now at a node, minus the node's
+    own. `stuck`: for each press, if one drags: the part of its contact in which the skin moves with it. `slid_mm`
+    (tuple of (float, float)): for each press, if one drags: how far along x and y it has moved ahead of the skin in
+    contact, on average. `loads`: load of each press, if one drags (`drag.loads_of` computes them otherwise). `rest_mm`
+    (float32 (2n+1, 2n+1) or None): part of `pressed_mm` that remains without load, for a skin that creeps.
     """
 
     radius_mm: float
@@ -134,21 +121,9 @@ def press_skin(
 ) -> Skin:
     """Find the skin's shape under the given objects.
 
-    Parameters
-    ----------
-    radius_mm, decay_mm : float
-    presses : sequence of Press
-    leaning_mm : float32 (2n+1, 2n+1), optional
-        `Skin.leaning_mm` of a leaning dome.
-    rest_mm : float32 (2n+1, 2n+1), optional
-        `Skin.rest_mm` after creep: the shape of the unloaded skin.
-    solver : callable
-        Solves the obstacle problem like `membrane.solve`.
-
-    Raises
-    ------
-    ValueError
-        An object would reach the middle of the sensor, or is not over the skin.
+    `leaning_mm` (float32 (2n+1, 2n+1), optional): `Skin.leaning_mm` of a leaning dome. `rest_mm` (float32 (2n+1, 2n+1),
+    optional): `Skin.rest_mm` after creep: the shape of the unloaded skin. `solver`: solves the obstacle problem like
+    `membrane.solve`. Raises ValueError (an object would reach the middle of the sensor, or is not over the skin).
     """
     flat = undeformed(radius_mm)
     free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
