@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import html
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,6 +14,7 @@ from typing import Self
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.reasons import code_of, text_of
+from tacshade_edge.storage.pictures import height_png
 from tacshade_edge.types import F32, U16, Bool, Geometry, Pose, Reconstruction, TouchedObject, freeze
 
 
@@ -27,7 +31,7 @@ class Result:
         if unknown.
     profile : str
     valid : bool
-        Whether the frame was usable; if not, every height is 0.
+        Whether the frame was usable; if not, every height is 0 and `depth_max_mm` NaN.
     reason, reason_code : str
         Why the frame is invalid, for people and for programs (docs/reference/mqtt/reasons.md); empty when valid.
     degraded, degraded_code : str
@@ -103,8 +107,24 @@ class Result:
 
     @property
     def depth_max_mm(self) -> float:
-        """Greatest h of the touched objects in mm; 0 without contact."""
-        return max((o.depth_max_mm for o in self.objects), default=0.0)
+        """Greatest h of the touched objects in mm; 0 without contact, NaN if the frame is invalid."""
+        return max((o.depth_max_mm for o in self.objects), default=0.0) if self.valid else math.nan
+
+    def __repr__(self) -> str:
+        """The result in a line, for people."""
+        what = self.reason or "no contact"
+        if self.objects:
+            count = "1 object" if len(self.objects) == 1 else f"{len(self.objects)} objects"
+            what = f"{count}, deepest {self.depth_max_mm:.2f} mm"
+        return f"<Result {self.seq} of {self.profile}: {what}>"
+
+    def _repr_html_(self) -> str:
+        """The line and, if there is one, the height map: what a notebook shows."""
+        line = html.escape(repr(self))
+        if not self.height_mm.size:
+            return line
+        data = base64.b64encode(height_png(self.height_mm)).decode()
+        return f'{line}<br><img alt="h in mm, with its scale" src="data:image/png;base64,{data}">'
 
     def skin_mm(self) -> F32:
         """Each cell's skin point: x, y, z in mm in the sensor frame, float32 (rows, cols, 3); NaN outside the disc."""

@@ -63,6 +63,11 @@ class Sensor:
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
 
+    def __repr__(self) -> str:
+        """The sensor in a line, for people."""
+        rows, cols = self.image_size_px
+        return f"<Sensor of radius {self.geometry.skin_radius_mm:g} mm, {self.profile}, images of {cols}x{rows} px>"
+
     def reconstruct(self, image: str | os.PathLike[str] | U8) -> Result:
         """Reconstruct a single image; an unusable image gives a result that is not `valid`.
 

@@ -117,6 +117,23 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     return _with_legend(pictures, text)
 
 
+def height_png(height_mm: F32) -> bytes:
+    """A height map (rows, cols) as PNG, three pixels a cell, white outside the disc, beside its colour bar."""
+    top = max(float(np.nanmax(height_mm, initial=0.0)), 0.1)
+    level = np.nan_to_num(np.clip(height_mm / top, 0, 1) * 255).astype(np.uint8)
+    picture = cv2.applyColorMap(level, _COLOURS)
+    picture[~np.isfinite(height_mm)] = 255
+    picture = cv2.resize(picture, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
+    white, sides = (255, 255, 255), (TOP_PX, BOTTOM_PX, 0, 0)
+    whole = np.hstack(
+        [
+            cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=white),
+            colour_bar(len(picture), top, "h (mm)"),
+        ]
+    )
+    return bytes(cv2.imencode(".png", whole)[1])
+
+
 def preview(raster: Raster) -> U8:
     """A stitched map seen from above, y upwards: heights in colours, grey where nothing was touched; axes in mm."""
     low, high = height_span_mm(raster.z_mm)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import math
 import threading
 from dataclasses import FrozenInstanceError
 from pathlib import Path
@@ -128,3 +130,15 @@ def test_one_sensor_in_several_threads_gives_right_results_or_refuses(sensor: ts
         "sensor: found two threads using one sensor, expected one thread; load a sensor in each thread"
     }
     np.testing.assert_array_equal(sensor.reconstruct(images[0]).height_mm, expected[0])
+
+
+def test_a_notebook_shows_a_line_and_a_picture(sensor: ts.Sensor) -> None:
+    result, black = (sensor.reconstruct(image) for image in (pressed("ball", 2.0).image, 0 * unloaded()))
+    assert repr(sensor).startswith("<Sensor of radius 20 mm, balanced, images of ")
+    assert repr(result) == f"<Result 0 of balanced: 1 object, deepest {result.depth_max_mm:.2f} mm>"
+    shown = result._repr_html_()
+    data = shown.split("base64,")[1].split('"')[0]
+    assert cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR).shape[0] > 112
+    assert not black.valid
+    assert math.isnan(black.depth_max_mm)
+    assert black.reason in repr(black)
