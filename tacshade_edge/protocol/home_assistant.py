@@ -73,7 +73,7 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
             "command_topic": f"{base}/req/profile",
             "command_template": '{"profile": "{{ value }}"}',
             "qos": 1,
-            "options": list(profiles),
+            "options": [name for name in profiles if name != "paper"],  # a baseline of studies
             "entity_category": "config",
         },
         "rezero": {

@@ -25,7 +25,7 @@ import { decode } from "./wire.js";
 
 const INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
-const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/explanation/speed.md, docs/explanation/accuracy.md
+const UNLISTED = "paper"; // far slower and less exact: a study's baseline, still chosen by request
 const WHOLE = "#hand/"; // in an address, before the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
 const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];
@@ -354,7 +354,7 @@ function updateFlags(flags) {
   const words = [];
   if (flags & INVALID) words.push("frame unusable");
   if (flags & SATURATED) words.push("deeper than calibrated: a lower bound");
-  if (flags & DEGRADED) words.push("less trust");
+  if (flags & DEGRADED) words.push("less certain");
   $("flags").textContent = words.join(", ");
 }
 
@@ -449,8 +449,8 @@ function updateSession(able) {
 
 function updateProfiles() {
   const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon reports no choice
-  const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
-  const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
+  const names = [...new Set([...(info?.profiles ?? []).filter((name) => name !== UNLISTED), ...(info ? [choice] : [])])];
+  const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
   $("profile").value = choice ?? "";
 }

@@ -20,7 +20,7 @@ export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   const shown = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
   if (health?.invalid_reason && !shown) reasons.push(`latest frame unusable: ${health.invalid_reason}`);
-  if (health?.degraded_reason) reasons.push(`less trust: ${health.degraded_reason}`);
+  if (health?.degraded_reason) reasons.push(`less certain: ${health.degraded_reason}`);
   const line = document.getElementById("state");
   if (!connected) {
     line.dataset.level = "off";

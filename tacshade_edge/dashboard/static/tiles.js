@@ -12,7 +12,7 @@ export function showContact(contact) {
   put("n-depth", number(contact?.depth_max_mm, 2));
   put("n-area", number(contact?.area_mm2, 1));
   put("n-volume", number(contact?.volume_mm3, 1));
-  put("n-place", free ? "nowhere" : Number.isFinite(contact?.x_mm) ? `${number(contact.x_mm, 1)}, ${number(contact.y_mm, 1)} mm` : "");
+  put("n-place", free ? "none" : Number.isFinite(contact?.x_mm) ? `${number(contact.x_mm, 1)}, ${number(contact.y_mm, 1)} mm` : "");
 }
 
 export function showRates(health) {
