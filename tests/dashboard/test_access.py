@@ -15,8 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tacshade_edge.dashboard import files
 from tacshade_edge.dashboard.access import PERIOD_S, WRONG_MAX, Login, offered, refusal
-from tools.testbed.certificate import certificate
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, certificate
 from tools.testbed.patience import wait_until
 
 WORD = "a-token-of-this-test"

@@ -28,8 +28,7 @@ from support.shown_page import (
 )
 
 from tacshade_edge.protocol import wire
-from tools.testbed.certificate import certificate
-from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
+from tools.testbed.mqtt_rig import Broker, Subscriber, certificate, free_port
 from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER

@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tacshade_edge.dashboard import files
 from tacshade_edge.dashboard.server import CONNECTIONS_MAX, PAGES_MAX
-from tools.testbed.certificate import certificate
+from tools.testbed.mqtt_rig import certificate
 
 STATIC = Path(files.__file__).parent / "static"
 

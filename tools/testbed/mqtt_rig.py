@@ -16,8 +16,17 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 
-from tools.testbed.certificate import certificate
 from tools.testbed.patience import patience, wait_until
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """Write ``cert.pem`` and ``key.pem`` as in docs/how-to/opening.md; return their paths."""
+    cert, key = folder / "cert.pem", folder / "key.pem"
+    options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
+    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(cert)]
+    subprocess.run(["openssl", *options.split(), *names], check=True, capture_output=True)
+    return cert, key
+
 
 MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 

@@ -33,10 +33,9 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tacshade_edge.fitting.loss import LOSSES
 from tacshade_edge.fitting.torn import spoil
-from tools.training.data import Data, batch, joined, load, shards_in
+from tools.training.data import Data, batch, joined, load, other_looks, shards_in
 from tools.training.figures import FIGURES, halved
 from tools.training.kinds import KINDS, SHARES
-from tools.training.looks import other_looks
 from tools.training.network import NETS, Net, ShearNet, averaged, like, make
 from tools.training.shipped import shipped
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge import cli
-from tools.testbed.certificate import certificate
+from tools.testbed.mqtt_rig import certificate
 from tools.testbed.patience import patience, stretched
 
 
