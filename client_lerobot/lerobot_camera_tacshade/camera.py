@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from lerobot.cameras.camera import Camera
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
-from tacshade_client import DecodeError, DeviceError, Info, Listener, listen
+from tacshade_client import ConfigError, DecodeError, DeviceError, Info, Listener, listen
 
 from .colours import U8
 from .config import SIZE_PX, TacShadeCameraConfig
@@ -68,7 +68,8 @@ class TacShadeCamera(Camera):
         ------
         DeviceAlreadyConnectedError
         ConnectionError
-            The broker is unreachable or rejects the connection, or no picture arrives within 5 s.
+            The settings can never work, the broker is unreachable or rejects the connection, or no picture arrives
+            within 5 s.
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
@@ -85,7 +86,7 @@ class TacShadeCamera(Camera):
                 password=password,
                 ca_file=config.ca_file,
             )
-        except DeviceError as error:
+        except (ConfigError, DeviceError) as error:
             raise ConnectionError(f"{self}: {error}") from error
         self._latest, self._fresh, self._crash = None, False, None
         self._thread = threading.Thread(target=self._receive, args=(self._listener,), name="tacshade", daemon=True)

@@ -80,6 +80,8 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
                 "is the broker running, and does it accept connections from other machines on mqtt.port "
                 "(mosquitto: `listener`)?"
             )
+        case ConnectionError() | EOFError() if tls_ca:
+            return "the port may not use TLS: omit mqtt.ca_file, or set mqtt.port to the broker's TLS port (often 8883)"
         case TimeoutError():
             asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
             return f"{asked} Is mqtt.port the broker's TLS port?" if tls_ca else asked

@@ -49,6 +49,7 @@ CSI_FIX = (
     "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: set source: {kind: rpicam, camera: 0}"
 )
 _LIST_S = 2.5
+_WHOLE = 0.9  # of the pixels of the mode that reads most
 FRAMES = 30
 LIMIT_S = 3.0
 _IMAGES_KEPT = 10  # the last ones, because a camera may still be settling during the first
@@ -92,12 +93,13 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
 
 
 def check_csi(source: Rpicam) -> tuple[Finding, ...]:
-    """Check that rpicam-vid lists the configured camera."""
+    """Check that rpicam-vid lists the configured camera, and that its mode reads the whole sensor."""
     if not shutil.which(PROGRAM):
         return (fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),)
     cameras = csi_cameras()
     if name := cameras.get(source.camera):
-        return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
+        listed = f"camera {source.camera} of {PROGRAM}: {name}"
+        return (_check_mode(source, listed, _csi_modes(source.camera)) or ok("camera", listed),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
     fix = f"set source.camera to a listed camera; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
     return (fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),)
@@ -259,15 +261,42 @@ def _bare(error: TacshadeError) -> str:
     return str(error).removeprefix("camera ")
 
 
+def _check_mode(source: Rpicam, listed: str, modes: dict[tuple[int, int], int]) -> Finding | None:
+    """Warn if the sensor's mode reads only a part of it; `modes` are their sizes and the pixels that each reads."""
+    if source.sensor_mode:
+        width, height = map(int, source.sensor_mode.split(":"))
+    else:
+        width, height = source.width_px, source.height_px
+    mode = min((size for size in modes if size[0] >= width and size[1] >= height), default=None)
+    whole = max(modes.values(), default=0)
+    if mode is None or modes[mode] > _WHOLE * whole:
+        return None
+    found = f"{listed}; the mode {mode[0]}:{mode[1]} reads {100 * modes[mode] / whole:.0f} % of the sensor, its middle"
+    others = ", ".join(f"{wide}:{high}" for (wide, high), read in sorted(modes.items()) if read > _WHOLE * whole)
+    return warning("camera", found, f"set source.sensor_mode to a mode that reads all of it: {others}")
+
+
 def csi_cameras() -> dict[int, str]:
     """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists; none without the program."""
+    found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", _csi_list(), re.MULTILINE)
+    return {int(number): name for number, name in found}
+
+
+def _csi_modes(camera: int) -> dict[tuple[int, int], int]:
+    """Return the size of each mode of a CSI camera, and how many pixels of the sensor it reads."""
+    of_this = re.split(r"^(\d+) : .*$", _csi_list(), flags=re.MULTILINE)
+    about = dict(zip(of_this[1::2], of_this[2::2], strict=True)).get(str(camera), "")
+    modes = re.findall(r"(\d+)x(\d+) \[.*?/(\d+)x(\d+) crop\]", about)
+    return {(int(width), int(height)): int(wide) * int(high) for width, height, wide, high in modes}
+
+
+def _csi_list() -> str:
     try:
         words = (PROGRAM, "--list-cameras")
         done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False)
     except (OSError, subprocess.TimeoutExpired):
-        return {}
-    found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", done.stdout, re.MULTILINE)
-    return {int(number): name for number, name in found}
+        return ""
+    return done.stdout
 
 
 def card_name(device: str, machine: Machine) -> str:

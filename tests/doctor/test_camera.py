@@ -151,7 +151,12 @@ def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     name = "imx219 [3280x2464 10-bit RGGB]"
     assert csi_cameras() == {0: name}
     assert name in list_cameras(machine).found
-    assert states(check_csi(Rpicam())) == ["ok"]
+    assert states(check_csi(Rpicam(sensor_mode="1640:1232"))) == ["ok"]
+    assert states(check_csi(Rpicam(width_px=1600, height_px=1200))) == ["ok"]
+    middle = check_csi(Rpicam())[0]
+    assert middle.state == "warning"
+    assert "640:480 reads 15 % of the sensor" in middle.found
+    assert middle.fix.endswith(": 1640:1232, 3280:2464")
     assert states(check_csi(Rpicam(camera=1))) == ["fault"]
     held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
     assert states(check_frames(Rpicam(), held, machine, "streaming")) == ["warning"]

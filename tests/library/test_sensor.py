@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import multiprocessing
 import threading
 from dataclasses import FrozenInstanceError
 from pathlib import Path
@@ -17,6 +18,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 import tacshade_edge as ts
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
+from tools.testbed.patience import patience
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +144,18 @@ def test_a_notebook_shows_a_line_and_a_picture(sensor: ts.Sensor) -> None:
     assert not black.valid
     assert math.isnan(black.depth_max_mm)
     assert black.reason in repr(black)
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_sensor_works_in_a_child_of_a_process_that_used_it(sensor: ts.Sensor) -> None:
+    image = pressed("cube", 2.0).image
+    here = sensor.reconstruct(image).height_mm
+    context = multiprocessing.get_context("fork")
+
+    def again() -> None:
+        np.testing.assert_array_equal(sensor.reconstruct(image).height_mm, here)
+
+    child = context.Process(target=again, daemon=True)
+    child.start()
+    child.join(patience(60))
+    assert child.exitcode == 0

@@ -70,6 +70,9 @@ def main() -> int:
         print("Available cameras\n-----------------")
         print("0 : imx219 [3280x2464 10-bit RGGB] (/base/soc/i2c0mux/i2c@1/imx219@10)")
         print("    Modes: 'SRGGB10_CSI2P' : 640x480 [206.65 fps - (1000, 752)/1280x960 crop]")
+        print("                             1640x1232 [41.85 fps - (0, 0)/3280x2464 crop]")
+        print("                             1920x1080 [47.57 fps - (680, 692)/1920x1080 crop]")
+        print("                             3280x2464 [21.19 fps - (0, 0)/3280x2464 crop]")
         return 0
     assert (args.codec, args.output, args.metadata_format, args.flush) == ("yuv420", "-", "txt", True)
     assert args.autofocus_mode == "manual"  # otherwise a lens that moves focuses all the time

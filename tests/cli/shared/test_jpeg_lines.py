@@ -1,0 +1,28 @@
+"""What libjpeg writes about damaged pictures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PROGRAM = """
+import ctypes, logging
+import cv2, numpy as np
+from tacshade_edge.cli.shared.logs import start_logging
+
+start_logging(logging.INFO)
+data = bytearray(cv2.imencode(".jpg", np.arange(240 * 320, dtype=np.uint32).astype(np.uint8).reshape(240, 320))[1])
+data[-2:-2] = b"\\0" * 7
+for _ in range(100):
+    assert cv2.imdecode(np.frombuffer(data, np.uint8), 0) is not None
+libc = ctypes.CDLL(None)
+libc.fputs(b"from another library\\n", ctypes.c_void_p.in_dll(libc, "stderr"))
+"""
+
+
+def test_a_camera_that_damages_every_picture_does_not_flood_the_log() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=120, check=True)
+    lines = done.stderr.splitlines()
+    assert 1 <= sum("libjpeg: Corrupt JPEG data" in line for line in lines) < 20, lines[:5]
+    assert "left out" in done.stderr
+    assert "from another library" in lines
