@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, fetch, seen_there
 from support.calibrated_sensor import FULL, calibrated
+from support.shared import once_for_all_workers
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.patience import stretched
@@ -32,7 +33,10 @@ def copy_checkout(folder: Path) -> None:
 def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if reason := cannot_boot():
         pytest.skip(reason)
-    folder = tmp_path_factory.mktemp("boot")
+    return once_for_all_workers("the booted service", lambda: booted(tmp_path_factory.mktemp("boot")))
+
+
+def booted(folder: Path) -> dict[str, Any]:
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     copy_checkout(folder / "checkout")
     fetch(folder / "wheels")

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
 from support.calibrated_sensor import FULL, calibrated
+from support.shared import once_for_all_workers
 
 from tacshade_edge.storage.calibration import calibration_file
 from tools.release.package_debian import CONFFILES, RELEASES
@@ -39,7 +40,10 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("not an x86-64 Debian with its python3, of 3.11 or 3.13")
     if find_spec("uv") is None or find_spec("hatchling") is None:
         pytest.skip("uv or hatchling is not installed")
-    folder = tmp_path_factory.mktemp("package")
+    return once_for_all_workers("the package", lambda: built(tmp_path_factory.mktemp("package"), python))
+
+
+def built(folder: Path, python: str) -> Path:
     words = [
         "-m",
         "tools.release.package_debian",
@@ -82,7 +86,10 @@ def older(package: Path, folder: Path) -> Path:
 def seen(package: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if reason := cannot_boot():
         pytest.skip(reason)
-    folder = tmp_path_factory.mktemp("boot")
+    return once_for_all_workers("the booted package", lambda: booted(package, tmp_path_factory.mktemp("boot")))
+
+
+def booted(package: Path, folder: Path) -> dict[str, Any]:
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     older(package, folder)
     (folder / "newer.deb").hardlink_to(package)
