@@ -10,10 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.calibrated_sensor import HALF
 
 from tacshade_edge.cli import main
-from tacshade_edge.cli.commands import simulate
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.patience import patience, wait_until
 
@@ -27,9 +25,7 @@ GOES_ON = "goes on"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration set, the same with mistakes in its table, and settings, good and bad."""
     made = tmp_path_factory.mktemp("mistakes")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulate, "SensorModel", lambda: HALF)
-        assert main(["simulate", "--calibration-set", str(made / "mysensor"), "--presses", "12"]) == 0
+    assert main(["simulate", "--calibration-set", str(made / "mysensor"), "--presses", "12"]) == 0
     with (made / "mysensor" / "PRESSES.csv").open() as file:
         header, *rows = csv.reader(file)
 
