@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from support.calibrated_sensor import HALF
+from support.progress_lines import only_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate
@@ -32,7 +33,9 @@ def table(path: Path) -> list[dict[str, str]]:
 def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--position", "-3", "1"]
     assert main([*words, "--drag", "2", "-1", "--twist", "8", "--tilt", "5", "0"]) == 0
-    assert capsys.readouterr() == (f"{tmp_path}: 2 images with ground truth, scenes.csv\n", "")
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path}: 2 images with ground truth, scenes.csv\n"
+    assert only_progress(printed.err)
     none, cube = table(tmp_path / "scenes.csv")
     assert (none["object"], float(none["depth_max_mm"])) == ("none", 0.0)
     stated = {"depth_mm": "3.0", "x_mm": "-3.0", "y_mm": "1.0", "drag_x_mm": "2.0", "twist_deg": "8.0"}
