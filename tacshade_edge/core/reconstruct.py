@@ -8,16 +8,18 @@ from typing import overload
 
 import numpy as np
 
-from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.contact.gate import (
+    SURE_PART,
+    ContactGate,
+    UnchangedSkin,
+    gate_preprocessor,
+)
 from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check import untrusted
-from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
-from tacshade_edge.core.frame_check.unchanged import UnchangedSkin
-from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
+from tacshade_edge.core.frame_check import Judges, Measured, first_reason, light, size_reason, skin
 from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -54,9 +56,9 @@ class Reconstructor:
     """Reconstructs frames of one calibrated sensor, deterministically.
 
     Each frame is independent, except that one with the untouched skin of an earlier frame gets that frame's result
-    (`frame_check.unchanged`). `touch` is the profile's model, or the reason why it cannot be used (without a model, map
-    and shear give the touch); a list collects the features of each requested touch for learning. `grid` and `rays` are
-    those of every height map, in the camera's pixels.
+    (`contact.gate.UnchangedSkin`). `touch` is the profile's model, or the reason why it cannot be used (without a
+    model, map and shear give the touch); a list collects the features of each requested touch for learning. `grid` and
+    `rays` are those of every height map, in the camera's pixels.
     """
 
     def __init__(
@@ -72,10 +74,13 @@ class Reconstructor:
         self.profile = profile
         self._shape = (calibration.image_height_px, calibration.image_width_px)
         self._preprocessor = Preprocessor(calibration, profile)
-        self._frame_check = sensor_check(self._preprocessor.calibration, self._preprocessor.camera_px)
-        self._unchanged = UnchangedSkin(self._frame_check, halved=self._preprocessor.camera_px == 2)
-        self._gate = ContactGate(self._preprocessor)
-        self._untrusted_check = untrusted.UntrustedCheck(self._preprocessor)
+        # The judges and the gate see the same pictures in every profile.
+        self._seen = seen = gate_preprocessor(calibration, self._preprocessor)
+        disc, grey = seen.calibration.geometry.disc, seen.calibration.reference_grey
+        self._judges = Judges(grey, disc, None if network else seen.calibration.pitch_px, seen.camera_px)
+        self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
+        self._gate = ContactGate(seen)
+        self._gate_part = self._gate.least_part if network else self._gate.plain_part
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
         self._find_objects = find_objects
         self._touch = touch
@@ -88,7 +93,7 @@ class Reconstructor:
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
-        self._white_space = self._preprocessor.integrator.space()
+        self._white_space = seen.integrator.space()
 
     @overload
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...
@@ -101,34 +106,37 @@ class Reconstructor:
         clock can time it. With the need ``CONTACT``, a frame in contact returns None instead of a depth; without
         ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
         """
-        grey = self._preprocessor.grey(frame.image, self._grey_space)
+        grey = self._seen.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape)
         unchanged = reason is None and self._unchanged.shown_in(grey)
-        reason = reason or (None if unchanged else picture_reason(grey, self._frame_check))
+        reason = reason or (None if unchanged else first_reason(self._judges.measured(grey)))
         mark("check")
         if reason or unchanged:
             return self._empty(frame, reason=reason, degraded=self._unchanged.degraded if unchanged else None)
 
-        preprocessed = self._preprocessor.preprocess(grey, self._white_space)
-        reason = invalid_reason(preprocessed.unseen, preprocessed.drift_grey)
-        degraded = degraded_reason(preprocessed.unseen, preprocessed.drift_grey)
+        preprocessed = self._seen.preprocess(grey, self._white_space)
+        drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
+        reason = first_reason(light.white_measured(preprocessed.unseen, drift_grey))
+        degraded = light.degraded_reason(preprocessed.unseen, drift_grey)
         mark("grey")
         if reason:
             return self._empty(frame, reason=reason)
 
-        in_contact = self._gate.opens(preprocessed)
+        changed_part = self._gate.changed_part(preprocessed)
         mark("gate")
-        if not in_contact:
+        if changed_part < self._gate_part:
             self._unchanged.keep(grey, degraded)
             return self._empty(frame, degraded=degraded)
 
-        if need == Need.CONTACT:
+        if need == Need.CONTACT and changed_part >= SURE_PART:
             return None
 
         features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
+        if self._preprocessor is not self._seen:
+            preprocessed = self._preprocessor.preprocess(self._preprocessor.grey(frame.image, self._grey_space))
         depth = self._solver.solve(preprocessed, mark, features)
-        reason = self._untrusted_check.invalid_reason(depth.untrusted_logit, self.rays.inside, preprocessed.white)
-        degraded = degraded or untrusted.degraded_reason(depth.untrusted, self.rays.inside)
+        reason = first_reason(skin.map_measured(depth.untrusted_logit, self.rays.inside))
+        degraded = degraded or skin.degraded_reason(depth.untrusted, self.rays.inside)
         mark("depth")
         if reason:
             return self._empty(frame, reason=reason)
@@ -146,14 +154,28 @@ class Reconstructor:
         objects = self._find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
-            reason = self._untrusted_check.moved(preprocessed.white)
-            return self._empty(frame, reason=reason, degraded=None if reason else degraded)
+            self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
+            return self._empty(frame, degraded=degraded)
+        if need == Need.CONTACT:
+            return None
         sigma_mm = None
         if Need.SIGMA in need:
             sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
             mark("sigma")
         whole = self._whole(frame, degraded, depth, height_mm, shear_mm, sigma_mm, objects)
         return self._with_touch(whole, features, mark) if Need.TOUCH in need else whole
+
+    def measured(self, image: U8) -> tuple[Measured, ...]:
+        """What the judges measure of an image that has the calibrated size; nothing after the first that refuses."""
+        grey = self._seen.grey(image)
+        made = self._judges.measured(grey)
+        if first_reason(made) is None:
+            preprocessed = self._seen.preprocess(grey)
+            drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
+            made += light.white_measured(preprocessed.unseen, drift_grey)
+            if first_reason(made) is None and self._gate.changed_part(preprocessed) >= self._gate_part:
+                made += skin.map_measured(self.depth(image).untrusted_logit, self.rays.inside)
+        return made
 
     def depth(self, image: U8) -> Depth:
         """The solver's depth for an image, without frame check and gate."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import fixes
@@ -73,8 +73,8 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
         return (fault("sensor", f"frames are unusable: {result.reason}", _fix(result.reason)),)
-    old = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
-    found_drift = registration.drift(old, pattern.mean_image([to_grey(image) for image in images]))
+    old = camera.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    found_drift = camera.drift(old, pattern.mean_image([to_grey(image) for image in images]))
     place = _check_place(calibration, found_drift)
     if not live:
         found = f"a contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
@@ -85,20 +85,20 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
-    if registration.shifted_too_far(found_drift, calibration.geometry.disc):
+    if camera.shifted_too_far(found_drift, calibration.geometry.disc):
         return place
-    if change := registration.light_drift_reason(found_drift):
+    if change := found_drift.light_reason:
         return (*place, warning("sensor", f"{change} since the calibration", _AGED))
     return (*place, _check_noise(calibration, images))
 
 
-def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[Finding, ...]:
+def _check_place(calibration: Calibration, found: camera.Drift) -> tuple[Finding, ...]:
     """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
     size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
     place = f"the visible circle has moved {found.shift_px:.1f} px and {size} since the calibration"
-    if registration.shifted_too_far(found, calibration.geometry.disc):
+    if camera.shifted_too_far(found, calibration.geometry.disc):
         fix = "the camera has moved inside the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)

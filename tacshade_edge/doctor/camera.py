@@ -9,11 +9,11 @@ import shutil
 import subprocess
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from tacshade_edge.core.frame_check.validity import FLAT_STD, SATURATED_PART, frame_check, invalid_reason
+from tacshade_edge.core.frame_check import PictureJudge, first_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource
@@ -166,9 +166,7 @@ def check_picture(image: U8) -> Finding:
     grey = to_grey(image)
     height, width = grey.shape
     disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
-    check = frame_check(grey, disc_mask(height, width, disc), disc)
-    check = replace(check, saturated_part=SATURATED_PART, flat_std=FLAT_STD)
-    reason = invalid_reason(grey, check)
+    reason = first_reason(PictureJudge(None, disc_mask(height, width, disc)).measured(grey))
     if not reason:
         return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, standard deviation {grey.std():.0f}")
     return fault("picture", reason.text, _PICTURE_FIXES.get(reason.code, _PICTURE_FIXES[ReasonCode.NO_CONTRAST]))

@@ -18,8 +18,7 @@ import numpy as np
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Window, disc_mask
-from tacshade_edge.core.image.binarise import binarise
-from tacshade_edge.core.image.integral_image import CellMeans, Integrator
+from tacshade_edge.core.image.white import CellMeans, Integrator, binarise
 from tacshade_edge.fitting import compiled
 from tacshade_edge.fitting.pins import (
     NOMINAL_PITCHES,

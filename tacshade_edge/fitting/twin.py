@@ -12,8 +12,8 @@ import numpy as np
 from tacshade_edge.core.calibration.reference.references import with_reference
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.fitting.identify import Found, TwinRenderer, print_of
 from tacshade_edge.fitting.mechanics import Mechanics

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import get_args
 
@@ -97,9 +97,9 @@ def test_every_extreme_frame_is_borne(profile: str, polarity: Polarity) -> None:
 @cache
 def always_asked(profile: str) -> Reconstructor:
     """With a gate that opens at any change, so that every frame that passes the check reaches the solver."""
-    open_gate = replace(PROFILES[profile], gate_levels=0.0)
-    whole = calibration(size_for(profile), "bright", "adaptive")
-    return make_reconstructor(replace(whole, noise_grey=0.0), open_gate)
+    made = make_reconstructor(calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile])
+    made._gate_part = -1.0
+    return made
 
 
 @pytest.mark.slow

@@ -54,7 +54,9 @@ LARGE_CASES += [(*size, "fast") for size in LARGE[-2:]]
 
 def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
     """Its gate opens at any change."""
-    return make_reconstructor(replace(calibration, noise_grey=0.0), replace(PROFILES[profile], gate_levels=0.0))
+    made = make_reconstructor(calibration, PROFILES[profile])
+    made._gate_part = -1.0
+    return made
 
 
 def pressed(disc: Disc, pitch_px: float = PITCH_PX) -> U8:

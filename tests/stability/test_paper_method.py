@@ -11,9 +11,8 @@ from scipy.ndimage import median_filter
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.depth import hybrid_sfs
-from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
 from tacshade_edge.core.image.greyscale import shape_grey
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F64, Bool
 

@@ -15,10 +15,9 @@ from support.examples import examples
 from support.extremes import BEYOND, EXTREME_MAPS, any_maps, shapes
 
 from tacshade_edge.core.depth import Depth, hybrid_sfs
-from tacshade_edge.core.image import total_variation
-from tacshade_edge.core.image.grey_maps import GreyMaps
-from tacshade_edge.core.image.greyscale import denoise_tv, normalise, shape_grey
-from tacshade_edge.core.image.total_variation import chambolle
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.greyscale import chambolle, denoise_tv, normalise, shape_grey
+from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff.grid import scaled_grey
 from tacshade_edge.types import F32, F64, Bool
@@ -182,7 +181,7 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     name: str, weight: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     image = to_unit(EXTREME_MAPS[name](64, 64))
-    monkeypatch.setattr(total_variation, "ENOUGH", 0.0)
+    monkeypatch.setattr(greyscale, "ENOUGH", 0.0)
     found = chambolle(image, weight, 10_000)
     from skimage.restoration import denoise_tv_chambolle  # takes a second, as SciPy's statistics that it imports
 

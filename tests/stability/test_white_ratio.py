@@ -14,10 +14,9 @@ from support.extremes import EXTREME_IMAGES, checkerboard, makers
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
-from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.image.greyscale import white_ratio
-from tacshade_edge.core.image.integral_image import BoxSums, CellMeans, Integrator
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.white import BoxSums, CellMeans, Integrator, binarise
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F64, U8, Binarisation, Disc
 

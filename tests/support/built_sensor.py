@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.geometry.disc import Window, disc_mask
-from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.white import binarise
 from tacshade_edge.types import F64, U8, Binarisation, Calibration, Disc, Geometry, Polarity
 
 DARK, BRIGHT = 30, 200

@@ -10,8 +10,7 @@ from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.image.grey_maps import GreyMapper
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.types import Geometry

@@ -32,10 +32,9 @@ from tacshade_edge.core.calibration.presses.press_outliers import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
@@ -258,7 +257,7 @@ class Measured:
     alarms: list[str]
     found: list[tuple[str, bool]]
     quality: list[tuple[str, float, float, str]]
-    drifts: list[registration.Drift]
+    drifts: list[camera.Drift]
 
 
 def measure(task: tuple[int, bool, int]) -> Measured:
@@ -271,7 +270,7 @@ def measure(task: tuple[int, bool, int]) -> Measured:
     except ConfigError as error:
         return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
     calibration = result.calibration
-    look = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    look = camera.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
     quality = []
     for sigma in (0.0, 0.3, 0.6):
         label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
@@ -292,7 +291,7 @@ def measure(task: tuple[int, bool, int]) -> Measured:
         for label, wanted, said in ((*wrong_sets(given, rng), *rezeros(given, result)) if detect else ())
     ]
     alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
-    return Measured(alarms, found, quality, [registration.drift(look, press.image) for press in given.presses])
+    return Measured(alarms, found, quality, [camera.drift(look, press.image) for press in given.presses])
 
 
 def report(measured: Sequence[Measured]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.white import binarise
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.calibration.calibration_file import with_crc

@@ -13,8 +13,7 @@ from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Window, disc_mask
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.binarise import binarise
-from tacshade_edge.core.image.integral_image import CellMeans, Integrator
+from tacshade_edge.core.image.white import CellMeans, Integrator, binarise
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.fitting.skins import (
     NUISANCE_PART,

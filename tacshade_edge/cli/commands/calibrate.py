@@ -18,7 +18,7 @@ from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -144,8 +144,8 @@ def _rezero(args: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
-    found = registration.drift(registration.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
-    changes = (registration.shift_reason(found, disc), registration.light_drift_reason(found))
+    found = camera.drift(camera.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
+    changes = (camera.shift_reason(found, disc), found.light_reason)
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     names = {"moved_px": 2, "light": 3, "contrast": 3}
     changed = {name: round(getattr(found, name), digits) for name, digits in names.items()}

@@ -20,8 +20,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 

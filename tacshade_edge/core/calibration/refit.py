@@ -29,7 +29,7 @@ from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel, sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
+from tacshade_edge.core.frame_check.skin import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays

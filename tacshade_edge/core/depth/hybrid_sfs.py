@@ -13,10 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
-from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
-from tacshade_edge.core.image.greyscale import Denoiser, shape_grey
-from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
-from tacshade_edge.core.image.total_variation import chambolle
+from tacshade_edge.core.image.greyscale import Denoiser, chambolle, shape_grey
+from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessed, Preprocessor
 from tacshade_edge.types import F32, F64
 
 ITERATIONS = 25

@@ -21,8 +21,8 @@ import numpy as np
 from tacshade_edge.core.depth.base import Depth, Features, Mark, Network, ShearNetwork
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import rays_in_image
-from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.types import F32, Bool, Geometry, frozen
 
 KNOWN = 6

@@ -1,47 +1,66 @@
-"""Compute the white ratio (eq. 1) and its change (eq. 9) from an image: section IV-A of the paper."""
+"""Prepare images for every solver: halve, blank out glare, binarise, and make the maps of section IV-A."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
 
 import cv2
 import numpy as np
 
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, Window, disc_mask, disc_rays
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.binarise import Binariser, odd
-from tacshade_edge.core.image.glare import glare_check, glare_mask
-from tacshade_edge.core.image.halving import grid_of_whole, halved_calibration, halved_image, is_halved
-from tacshade_edge.core.image.integral_image import BoxSums, IntegralImage, Integrator
-from tacshade_edge.core.image.median import median
+from tacshade_edge.core.image.greyscale import Denoiser, chambolle
+from tacshade_edge.core.image.white import (
+    Binariser,
+    BoxSums,
+    IntegralImage,
+    Integrator,
+    halved,
+    level_at,
+    median,
+    odd,
+    padded,
+)
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import F32, I32, U8, Bool, Calibration, frozen
+from tacshade_edge.types import F32, I32, U8, Bool, Calibration, Disc, frozen
 
 # Cells do not vote if the rim cuts their window below this part of its full size: there a camera shift shows.
 VOTING_WINDOW_PART = 0.75
-# A window shows nothing if glare leaves less than this part of it.
-CLEAR_WINDOW_PART = 0.25
+# Weights of the reference shifted by a pixel back, not at all and forward, along each axis. More weight on the shifted
+# ones makes the depth less exact if nothing shifted.
+MOVED_PARTS = (1 / 8, 3 / 4, 1 / 8)
+# Finer patterns are not halved: the networks have seen few pitches below 7 px.
+LEAST_PITCH_PX = 14.0
+# Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is enough), except under
+# glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by GLARE_PART of the reference's range from
+# dark to bright; another exposure lifts the dark less.
+GLARE_PITCHES = 1.0
+GLARE_LIFT, GLARE_PART = 22, 0.2
+# Pixels are also glare if brighter than GLARE_GAIN times the brightest marker nearby in the reference plus
+# GLARE_OFFSET; a drag moves markers by up to GLARE_REACH pitches to where the reference has none.
+GLARE_GAIN, GLARE_OFFSET, GLARE_REACH = 1.3, 25, 2.0
+GLARE_PX = 6
+# Width of the halo around a glare spot that is not trusted either, in pitches (plus a block).
+GLARE_HALO_PITCHES = 1.0
 
 
 @frozen
 class Preprocessed:
-    """The result of preprocessing an image.
+    """An image of the disc's window without glare, whose place shows the reference.
 
     Attributes
     ----------
-    g : float32 (rows, cols), 0 to 255
-        Eq. 1 on `Preprocessor.grid`; the reference's value under glare.
-    g_d : float32 (N,)
-        Eq. 9 at the voting cells, positive in contact, not denoised.
-    drift_grey : float
-        Median of `g_d`, grey levels: a change of light affects every cell, a contact only some.
+    pixels : uint8 (rows, cols)
+        The binarised image, 0 and 1.
     white : IntegralImage
-        Integral of the binarised image, 0 and 1; the reference's pixels under glare.
+        Its integral.
     unseen : float
         Part of the disc under glare, 0 to 1.
     """
 
-    g: F32
-    g_d: F32
-    drift_grey: float
+    pixels: U8
     white: IntegralImage
     unseen: float
 
@@ -64,16 +83,18 @@ class Preprocessor:
     camera_px : int
         Width of a working pixel in the camera's pixels.
     profile : Profile
+    window : Window
+        The disc's, in working pixels.
     sign : float
         -1 for a sensor that darkens in contact, else 1.
     integrator : Integrator
         Computes `Preprocessed.white`.
     grid : Grid
-        Grid of `Preprocessed.g`, in working pixels.
+        Grid of eq. 1, in working pixels.
     rays : DiscRays
         Rays of `grid`.
     voting : bool (rows, cols)
-        Cells of `Preprocessed.g_d`: most of their window lies in the disc.
+        Cells with most of their window in the disc.
     reference_g : float32 (rows, cols), 0 to 255
         Eq. 1 of the unloaded skin.
     reference_white : IntegralImage
@@ -91,25 +112,22 @@ class Preprocessor:
         geometry, pitch_px = calibration.geometry, calibration.pitch_px
         height, width = calibration.image_height_px, calibration.image_width_px
         self.sign = 1.0 if calibration.polarity == "bright" else -1.0
-        self._window = Window.of_disc(height, width, geometry.disc)
-        self._mask: U8 = self._window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
+        self.window = Window.of_disc(height, width, geometry.disc)
+        self._mask: U8 = self.window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
         self._binarise = Binariser(self._mask, calibration.binarisation, pitch_px)
-        self._glare_check = glare_check(self._window.cut(calibration.reference_grey), self._mask, pitch_px)
+        self._glare = GlareFinder(self.window.cut(calibration.reference_grey), self._mask, pitch_px)
         side_px = odd(profile.window_pitches * pitch_px)
-        self.integrator = Integrator(self._window, side_px // 2 + 1)
-        self.grid = Grid.of_window(self._window, profile.stride_px)
+        self.integrator = Integrator(self.window, side_px // 2 + 1)
+        self.grid = Grid.of_window(self.window, profile.stride_px)
         self.rays: DiscRays = disc_rays(self.grid, geometry)
         self._box_sums = BoxSums(self.integrator, self.grid, side_px)
-        self._total = self._box_sums.sums(self.integrator.integrate(self._mask))
-        self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
-        self.voting: Bool = self.rays.inside & (
-            self._total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum()))
-        )
+        total = self._box_sums.sums(self.integrator.integrate(self._mask))
+        self._per_total: F32 = np.divide(np.float32(255), np.maximum(total, np.float32(1)))
+        self.voting: Bool = self.rays.inside & (total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum())))
         self._voters = np.flatnonzero(self.voting)
-        reference = self._window.cut(calibration.reference_white)
+        reference = self.window.cut(calibration.reference_white)
         self.reference_white = self.integrator.integrate(reference)
-        self.reference_g = greyscale.white_ratio(self._box_sums.sums(self.reference_white), self._total, full_scale=1.0)
-        self._reference_voted: F32 = self.reference_g.take(self._voters)
+        self.reference_g: F32 = self.ratio(self.reference_white) / np.float32(255)
         self._reference_binary: U8 = (reference > 127).astype(np.uint8)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
 
@@ -119,46 +137,206 @@ class Preprocessor:
         return grid_of_whole(self.grid) if self._halve else self.grid
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
-        """Convert the camera's image to the grey working image.
+        """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image.
 
-        Parameters
-        ----------
-        image : uint8 (H, W) or (H, W, 3) BGR
-        space : uint8 (H, W), optional
-            Buffer that the result may use, valid until `space` is used again.
+        The result may use `space`, uint8 (H, W), and is then valid until `space` is used again.
         """
         grey = greyscale.to_grey(image, space)
         return halved_image(grey) if self._halve else grey
 
     def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
-        """Binarise, then apply eqs. 1 and 9 without the pixels under glare.
+        """Binarise a grey working image without its glare.
 
-        Parameters
-        ----------
-        grey : uint8 (H, W)
-            From `grey`.
-        space : int32, optional
-            Buffer from ``integrator.space`` that `Preprocessed.white` may use, valid until `space` is used again.
+        The result may use `space`, from ``integrator.space``, and is then valid until `space` is used again.
         """
-        window = self._window.cut(grey)
-        glare = glare_mask(window, self._glare_check)
-        white = self._binarise(window)
+        cut = self.window.cut(grey)
+        glare = self._glare.mask(cut)
+        white = self._binarise(cut)
         if glare is None:
-            integral = self.integrator.integrate(white, space)
-            g, unseen = self._box_sums.sums(integral) * self._per_total, 0.0
+            white, unseen = white.copy(), 0.0
         else:
-            g, unseen = self._ratio_beside(glare, white)
             # A network would take black under glare for pins; the reference's pixels are neutral.
-            integral = self.integrator.integrate(np.where(glare > 0, self._reference_binary, white), space)
-        g_d = g.take(self._voters) - self._reference_voted
-        g_d = g_d if self.sign > 0 else -g_d
-        return Preprocessed(g, g_d, median(g_d) if g_d.size else 0.0, integral, unseen)
+            white = np.where(glare > 0, self._reference_binary, white)
+            unseen = cv2.countNonZero(cv2.bitwise_and(self._mask, glare)) / max(cv2.countNonZero(self._mask), 1)
+        return Preprocessed(white, self.integrator.integrate(white, space), unseen)
 
-    def _ratio_beside(self, glare: U8, white: U8) -> tuple[F32, float]:
-        """Eq. 1 of the pixels not under glare, and the part of the disc under glare."""
-        clear = cv2.bitwise_and(self._mask, 1 - glare)
-        total = self._box_sums.sums(self.integrator.integrate(clear))
-        white_clear = self.integrator.integrate(cv2.bitwise_and(white, clear))
-        g = greyscale.white_ratio(self._box_sums.sums(white_clear), total)
-        g = np.where(total < CLEAR_WINDOW_PART * self._total, self.reference_g, g).astype(np.float32)
-        return g, 1 - cv2.countNonZero(clear) / cv2.countNonZero(self._mask)
+    def ratio(self, white: IntegralImage) -> F32:
+        """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1: float32 (rows, cols), 0 to 255.
+
+        Only pixels of the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
+        """
+        g: F32 = self._box_sums.sums(white) * self._per_total
+        return g
+
+    def voted(self, values: F32) -> F32:
+        """The values at the cells that vote, (N,)."""
+        return values.take(self._voters)
+
+    def drift_grey(self, g: F32) -> float:
+        """Median change of eq. 1 since the reference: a change of light affects every cell, a contact only some."""
+        return median(self.voted(g) - self.voted(self.reference_g)) if self._voters.size else 0.0
+
+
+@frozen
+class GreyMaps:
+    """The maps of one image on one grid.
+
+    Attributes
+    ----------
+    g, g0 : float32 (rows, cols), 0 to 255
+        White ratio of the image and of the unloaded skin, denoised.
+    g_d : float32 (rows, cols)
+        Eq. 9, positive in contact.
+    inside : bool (rows, cols)
+    """
+
+    g: F32
+    g0: F32
+    g_d: F32
+    inside: Bool
+
+
+class GreyMapper:
+    """Denoises white ratios, then applies eq. 9 without the common change of light."""
+
+    def __init__(self, preprocessor: Preprocessor, denoise: Denoiser = chambolle) -> None:
+        self._preprocessor, self._denoise = preprocessor, denoise
+        self._inside = preprocessor.rays.inside
+        self._g0 = self._smooth(preprocessor.reference_g)
+
+    def maps(self, preprocessed: Preprocessed) -> GreyMaps:
+        """The maps of an image."""
+        g = self._preprocessor.ratio(preprocessed.white)
+        g = self._smooth(g - np.float32(self._preprocessor.drift_grey(g)))
+        g_d = greyscale.grey_difference(g, self._g0, self._inside, self._preprocessor.sign)
+        return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=self._inside)
+
+    def _smooth(self, g: F32) -> F32:
+        return greyscale.denoise_tv(g, self._inside, self._preprocessor.profile.tv_weight, self._denoise)
+
+
+def is_halved(calibration: Calibration, profile: Profile) -> bool:
+    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough.
+
+    A network also sees a noisy camera halved: one that needs Otsu's level (`reference.threshold_choice`). Its pixels
+    differ from their neighbours, which a mean over 2x2 px evens out, but a network of whole images takes for torn skin.
+    """
+    side_px = min(calibration.image_height_px, calibration.image_width_px)
+    wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")
+    return wanted and calibration.pitch_px >= LEAST_PITCH_PX and side_px > 1
+
+
+def halved_image(grey: U8) -> U8:
+    """Means over 2x2 px, rounded half up, without the last row or column of an odd side."""
+    return halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
+
+
+def grid_of_whole(grid: Grid) -> Grid:
+    """Convert a grid on the halved image to one on the whole image."""
+    return Grid(grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px)
+
+
+def halved_calibration(calibration: Calibration) -> Calibration:
+    """The calibration that halved images would give: the same skin, camera and light in pixels twice as wide.
+
+    Part of its white comes from the image shifted by a pixel (`MOVED_PARTS`), which pairs the pixels differently;
+    without it, a camera shifted by a pixel would look like less depth.
+    """
+    geometry = calibration.geometry
+    at = geometry.disc
+    # The middle of pixels (2i, 2i+1) is at 2i + 0.5.
+    disc = Disc((at.row_c - 0.5) / 2, (at.col_c - 0.5) / 2, at.radius_px / 2)
+    grey = halved_image(calibration.reference_grey)
+    height, width = grey.shape
+    pitch_px = calibration.pitch_px / 2
+    # Binarise inside the disc's window, as for frames, because the threshold's blocks start at its first pixel.
+    window = Window.of_disc(height, width, disc)
+    mask = window.cut(disc_mask(height, width, disc).astype(np.uint8))
+    binariser = Binariser(mask, calibration.binarisation, pitch_px)
+    white = np.zeros(grey.shape, np.float32)
+    around = np.pad(calibration.reference_grey, 1, mode="edge")
+    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
+        moved = around[row : row + calibration.image_height_px, col : col + calibration.image_width_px]
+        window.cut(white)[...] += down * across * binariser(window.cut(halved_image(moved)))
+    return replace(
+        calibration,
+        geometry=replace(geometry, disc=disc),
+        image_height_px=height,
+        image_width_px=width,
+        pitch_px=pitch_px,
+        reference_grey=grey,
+        reference_white=np.rint(white * np.float32(255)).astype(np.uint8),
+        alpha=calibration.alpha / 2,
+    )
+
+
+class GlareFinder:
+    """Finds specular spots that the reference does not have: they and their halo hide the skin.
+
+    Parameters
+    ----------
+    reference_grey, mask : uint8 (H, W)
+        Mean reference image and the disc (0 or 1) in its window.
+    pitch_px : float
+    """
+
+    def __init__(self, reference_grey: U8, mask: U8, pitch_px: float) -> None:
+        # The search's blocks are at most a quarter of the pitch wide.
+        self._side = next(side for side in (4, 2, 1) if side == 1 or side <= pitch_px / 4)
+        opaque: U8 = np.multiply(mask, 255, dtype=np.uint8)
+        self._inside = _most(opaque, self._side)
+        # Neighbourhoods of blocks, as morphological kernels.
+        self._box = _around(GLARE_PITCHES * pitch_px, self._side)
+        self._halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + self._side), self._side)
+        dark, bright = (level_at(reference_grey, opaque, part) for part in (0.01, 0.99))
+        lift = max(GLARE_LIFT, round(GLARE_PART * (bright - dark)))
+        lifted = cv2.erode(_least(reference_grey, self._side), self._box) + np.uint16(lift)
+        self._darkest = np.minimum(lifted, 255).astype(np.uint8)
+        reach = np.ones((2 * round(GLARE_REACH * pitch_px) + 1,) * 2, np.uint8)
+        nearby = cv2.dilate(cv2.multiply(reference_grey, mask), reach)
+        # Beyond the disc, glare does not matter.
+        self._brightest: U8 = np.where(
+            mask > 0, cv2.convertScaleAbs(nearby, alpha=GLARE_GAIN, beta=GLARE_OFFSET), np.uint8(255)
+        )
+        # Work space: whole blocks, white beyond the window; the window.
+        self._whole = padded(np.full_like(mask, 255), self._side, 255)
+        self._bright = np.empty_like(mask)
+
+    def mask(self, grey: U8) -> U8 | None:
+        """1 in glare and its halo, in whole blocks, of the window's grey image, uint8 (H, W); None without glare."""
+        side, (rows, cols) = self._side, grey.shape
+        self._whole[:rows, :cols] = grey
+        found = cv2.compare(cv2.erode(_least(self._whole, side), self._box), self._darkest, cv2.CMP_GT)
+        bright = cv2.compare(grey, self._brightest, cv2.CMP_GT, dst=self._bright)
+        some = cv2.countNonZero(bright) >= GLARE_PX
+        if not some and cv2.countNonZero(found) == 0:
+            return None
+        if some:
+            found = cv2.bitwise_or(found, _most(bright, side))
+        found = cv2.bitwise_and(found, self._inside)
+        if cv2.countNonZero(found) == 0:
+            return None
+        grown = np.minimum(cv2.dilate(found, self._halo), 1)
+        return np.ascontiguousarray(grown.repeat(side, axis=0).repeat(side, axis=1)[:rows, :cols])
+
+
+def _around(size_px: float, block_px: int) -> U8:
+    """A kernel of the smallest odd number of blocks that is at least this many pixels wide."""
+    blocks = math.ceil(size_px / block_px)
+    return np.ones((blocks + 1 - blocks % 2,) * 2, dtype=np.uint8)
+
+
+def _least(image: U8, block_px: int) -> U8:
+    """The darkest pixel of each block."""
+    least = padded(image, block_px, 255)
+    step = 1
+    while step < block_px:
+        least = np.asarray(cv2.min(least[::2], least[1::2]), np.uint8)
+        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # over 2 step columns from each one
+        step *= 2
+    return np.ascontiguousarray(least[:, ::block_px])
+
+
+def _most(image: U8, block_px: int) -> U8:
+    """The brightest pixel of each block."""
+    return np.asarray(cv2.bitwise_not(_least(cv2.bitwise_not(image), block_px)), np.uint8)

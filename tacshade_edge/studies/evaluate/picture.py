@@ -11,9 +11,8 @@ import numpy as np
 
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
-from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import Truth

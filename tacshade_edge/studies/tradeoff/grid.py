@@ -13,8 +13,8 @@ from tacshade_edge.core.contact.objects import Objects, find_objects, objects_in
 from tacshade_edge.core.depth import Depth, MakeSolver
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, finite_shape_grey, hybrid_depth, scaled
 from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.core.image.grey_maps import GreyMaps
-from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, chambolle
+from tacshade_edge.core.image.greyscale import ITERATIONS_MAX, chambolle
+from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network

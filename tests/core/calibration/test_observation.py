@@ -19,7 +19,7 @@ from tacshade_edge.core.calibration.observation import (
     screened_poisson,
 )
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.core.image.grey_maps import GreyMaps
+from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.types import F32, Disc, Geometry
 
 SIZES = st.integers(1, 33)

@@ -8,7 +8,7 @@ import pytest
 
 from tacshade_edge.core.depth import Depth, hybrid_sfs
 from tacshade_edge.core.depth.hybrid_sfs import hybrid_sfs as iterate
-from tacshade_edge.core.image.grey_maps import GreyMaps
+from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.studies.tradeoff.grid import scaled_grey
 from tacshade_edge.types import F32
 

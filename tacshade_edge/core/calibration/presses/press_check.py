@@ -19,13 +19,11 @@ from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
-from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
-from tacshade_edge.core.image.grey_maps import GreyMapper
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
@@ -194,10 +192,10 @@ class PressCheck:
         self._preprocessor = Preprocessor(unloaded, PROFILE)
         self._mapper = GreyMapper(self._preprocessor)
         self._gate = ContactGate(self._preprocessor)
-        self._check = sensor_check(unloaded)
+        self._judges = plain_judges(unloaded)
         self._viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
         self._disc = unloaded.geometry.disc
-        self._reference = registration.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
+        self._reference = camera.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
 
     def located_mm(self, image: U8, depth_mm: float) -> tuple[float, float]:
         """The place (x, y) of a pressed ball in mm, as `calibrate` finds it."""
@@ -212,14 +210,14 @@ class PressCheck:
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""
         grey = self._preprocessor.grey(image)
-        if reason := invalid_reason(grey, self._check):
+        if reason := self._judges.reason(grey):
             return Judgement(reason)
-        drift = registration.drift(self._reference, grey)
-        shift = registration.shift_reason(drift, self._disc)
-        if shift and registration.shifted_too_far(drift, self._disc):
+        drift = camera.drift(self._reference, grey)
+        shift = camera.shift_reason(drift, self._disc)
+        if shift and camera.shifted_too_far(drift, self._disc):
             return Judgement(None, moved=str(shift))
-        changed = str(shift or registration.light_drift_reason(drift) or "")
-        in_contact = self._gate.opens(self._preprocessor.preprocess(grey))
+        changed = str(shift or drift.light_reason or "")
+        in_contact = self._gate.changed_part(self._preprocessor.preprocess(grey)) >= self._gate.plain_part
         if not in_contact and self._viewer:
             in_contact = self._viewer.touches(grey)
         return Judgement(None, changed=changed, in_contact=in_contact)

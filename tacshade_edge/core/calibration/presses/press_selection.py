@@ -20,8 +20,7 @@ from tacshade_edge.core.calibration.presses.table_check import (
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.image.grey_maps import GreyMapper
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration, Geometry

@@ -17,10 +17,9 @@ import numpy as np
 
 from tacshade_edge.core.calibration.reference.references import PROFILE, with_reference
 from tacshade_edge.core.contact.gate import GATE_MM2
-from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.frame_check.registration import Drift
-from tacshade_edge.core.frame_check.trust import DRIFT_LEVELS
-from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.frame_check import camera, light, plain_judges
+from tacshade_edge.core.frame_check.camera import Drift
+from tacshade_edge.core.frame_check.light import DRIFT_LEVELS
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -62,12 +61,12 @@ class Followed:
 def bounds(disc: Disc) -> dict[str, float]:
     """The bounds on each quantity of `Distance`, for messages."""
     return {
-        "shift_px": round(registration.SHIFT_PART * disc.radius_px, 3),
-        "moved_px": round(registration.RIM_PART * disc.radius_px, 3),
-        "light_low": registration.LIGHT_LOW,
-        "light_high": registration.LIGHT_HIGH,
-        "uneven": registration.UNEVEN,
-        "contrast": registration.CONTRAST,
+        "shift_px": round(camera.SHIFT_PART * disc.radius_px, 3),
+        "moved_px": round(camera.RIM_PART * disc.radius_px, 3),
+        "light_low": light.COMPENSATED_LOW,
+        "light_high": light.COMPENSATED_HIGH,
+        "uneven": light.UNEVEN,
+        "contrast": light.CONTRAST,
         "common_grey": COMMON_GREY,
         "patch_grey": PATCH_GREY,
     }
@@ -78,15 +77,15 @@ def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> F
     origin's.
     """
     greys = [greyscale.to_grey(image) for image in images]
-    check = sensor_check(origin, unloaded=True)
+    judges = plain_judges(origin, unloaded=True)
     for grey in greys:
-        if reason := invalid_reason(grey, check):
+        if reason := judges.reason(grey):
             return Followed(None, None, reason)
     # Keep the noise: a sensor that trembles must not raise its own gate.
     renewed = replace(with_reference(replace(origin, crc32=0), greys), noise_grey=origin.noise_grey)
     prepared = Preprocessor(renewed, PROFILE)
     disc = origin.geometry.disc
-    drift = registration.drift(registration.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey)
+    drift = camera.drift(camera.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey)
     distance = Distance(drift, *g_change(Preprocessor(origin, PROFILE), prepared))
     reason = beyond(distance, disc)
     if reason or not _worth(Preprocessor(current, PROFILE), prepared):
@@ -99,7 +98,7 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     drift = distance.drift
     if drift.still_part == 0:
         return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's")
-    if reason := registration.shift_reason(drift, disc) or registration.light_drift_reason(drift):
+    if reason := camera.shift_reason(drift, disc) or drift.light_reason:
         return reason
     if abs(distance.common_grey) > COMMON_GREY:
         text = f"light or focus: the white ratio changed by {distance.common_grey:.0f} levels everywhere"

@@ -12,13 +12,11 @@ import numpy as np
 from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.contact.gate import ContactGate
-from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.binarise import Binariser, odd
-from tacshade_edge.core.image.integral_image import BoxSums, Integrator
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.white import Binariser, BoxSums, Integrator, odd
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, U8, Bool, Calibration, Disc
@@ -34,13 +32,13 @@ LOAD_MM2 = 9.0
 RINGS = 12
 MIDDLE_RINGS = 10
 LOAD_BEND_GREY = 22.0
-PROFILE = replace(
-    PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12, network=None
-)
+PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, network=None)
 """Profile of the maps that compare references and presses: of whole images, and without a network."""
 ASSUMED_NOISE_GREY = 1.0
 """Noise of g, RMS in grey levels, assumed for fewer references than `NOISE_REFERENCES`."""
 NOISE_REFERENCES = 3
+# A reference of which more has changed against the mean of all is pressed: a tip that sways reaches 0.22 (raw TacTips).
+LOADED_PART = 0.25
 # The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
 
@@ -141,20 +139,20 @@ def check_references(
     if load := reference_load_reason(Preprocessor(calibration, PROFILE)):
         warnings.append(_allowed(load, allow_loaded))
     disc = calibration.geometry.disc
-    first = registration.look(greys[0], disc, calibration.pitch_px)
+    first = camera.look(greys[0], disc, calibration.pitch_px)
     for name, grey in zip(names[1:], greys[1:], strict=True):
-        drift = registration.drift(first, grey)
-        shift = registration.shift_reason(drift, disc)
-        if registration.shifted_too_far(drift, disc):
+        drift = camera.drift(first, grey)
+        shift = camera.shift_reason(drift, disc)
+        if camera.shifted_too_far(drift, disc):
             raise ConfigError(
                 f"reference {name}: {shift} since reference {names[0]}; fasten the camera and take all references again"
             )
-        if change := shift or registration.light_drift_reason(drift):
+        if change := shift or drift.light_reason:
             warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
-    # Assume the noise: a pressed reference raises the measured noise, which would hide it.
-    preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    preprocessor = Preprocessor(calibration, PROFILE)
     gate = ContactGate(preprocessor)
-    pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
+    changed = [gate.changed_part(preprocessor.preprocess(grey)) for grey in greys]
+    pressed = [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]
     if pressed:
         load = f"the skin seems pressed in reference {', '.join(pressed)}, compared with the mean of all references"
         warnings.append(_allowed(load, allow_loaded))
@@ -178,16 +176,16 @@ def rezero(
         raise ConfigError("found no image to take a reference from, expected at least one")
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
-    check = sensor_check(calibration, unloaded=True)
+    judges = plain_judges(calibration, unloaded=True)
     refused = [f"rejected reference {name}: " for name in names] or ["rejected the reference: "] * len(greys)
     for grey, lead in zip(greys, refused, strict=True):
-        if reason := invalid_reason(grey, check):
+        if reason := judges.reason(grey):
             raise ConfigError(f"{lead}{reason}")
-    old = registration.look(calibration.reference_grey, disc, calibration.pitch_px)
+    old = camera.look(calibration.reference_grey, disc, calibration.pitch_px)
     for grey, lead in zip(greys, refused, strict=True):
-        drift = registration.drift(old, grey)
-        if registration.shifted_too_far(drift, disc):
-            shift = registration.shift_reason(drift, disc)
+        drift = camera.drift(old, grey)
+        if camera.shifted_too_far(drift, disc):
+            shift = camera.shift_reason(drift, disc)
             raise ConfigError(f"{lead}{shift}; fasten the camera in its old position, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(

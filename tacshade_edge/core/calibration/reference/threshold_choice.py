@@ -7,7 +7,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.reference.marker_field import MarkerField, find_markers
 from tacshade_edge.core.geometry.disc import disc_mask
-from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.white import binarise
 from tacshade_edge.types import U8, Binarisation, Disc
 
 # A piece of white below this part of a squared pitch is a speck. Between pins that stand far apart, the local mean is

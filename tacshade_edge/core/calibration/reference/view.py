@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px, visible_disc
-from tacshade_edge.core.frame_check.validity import SATURATED_LEVEL
+from tacshade_edge.core.frame_check.picture import SATURATED_LEVEL
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Disc

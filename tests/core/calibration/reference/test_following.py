@@ -20,7 +20,7 @@ from tacshade_edge.core.calibration.reference.following import (
     g_change,
 )
 from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.frame_check.registration import Drift
+from tacshade_edge.core.frame_check.camera import Drift
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES

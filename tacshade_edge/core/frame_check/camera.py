@@ -1,9 +1,9 @@
-"""Measure a sensor's drift from its reference image: a moved camera, other light, a blurred lens.
+"""Judge the camera's place: has it moved, by what cannot move with a press?
 
-References, presses, new references and `doctor` share this measure. It uses the part of the pattern that moves as one
-piece, so a press, which moves only some of it, does not count as drift: a coarse shift by phase correlation (Kuglin and
-Hines 1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC,
-Fischler and Bolles 1981).
+In a frame that is what lies around the disc. References, presses, new references and `doctor`, which see the skin at
+rest or mostly so, measure the drift of the pattern's part that moves as one piece: a coarse shift by phase correlation
+(Kuglin and Hines 1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow
+(RANSAC, Fischler and Bolles 1981).
 """
 
 from __future__ import annotations
@@ -14,9 +14,26 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.core.frame_check.light import LIGHT_HIGH, LIGHT_LOW, light_drift_reason
+from tacshade_edge.core.frame_check.picture import Measured
+from tacshade_edge.core.image.white import eighth, median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, frozen
 
+# What lies between these radii around the disc changes only with the light; from the first on, because a soft tip that
+# sways carries its markers past the edge.
+SURROUND_FROM, SURROUND_TO = 1.1, 1.35
+# A block of it has changed by this many levels and a quarter of its light; this part of them is another surround. Real
+# frames show 0.008, simulated moves and specks 0.05; torn and foreign ones 0.10 and more.
+SURROUND_LEVELS, SURROUND_PART = 25.0, 0.08
+# Darker blocks do not show the amount of light; a thresholded image has many.
+LIT_LEVEL = 4.0
+# One pixel along both axes (1.4) passes: it changes depths by a few per cent. Further than the last, a shift is only
+# another surround.
+LEAST_PX, MOST_PX = 1.8, 8
+# Fewer blocks, or ones that a shift by a pixel changes by less (RMS, levels), show no shift; the best shift leaves at
+# most this part of the squared change, or it explains nothing.
+LEAST_BLOCKS, LEAST_SLOPE, LEFT_PART = 40, 1.0, 0.5
 # Pitch of the lattice of tracked points, the part of the disc that holds them, and the window of each, in pitches.
 _POINT_PITCHES, _RHO_MAX, _WINDOW_PITCHES = 1.0, 0.95, 2.0
 # A point belongs to the piece if it lies this near to its place by the common motion.
@@ -27,8 +44,84 @@ _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # zoom (of which a deep press alone imitates 1 px), is worth a warning.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
-# Range of light that is compensated, and limits of unevenness and blur beyond all good presses (calibration-checks.md).
-LIGHT_LOW, LIGHT_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
+
+
+class CameraJudge:
+    """Judges what lies around the disc by the mean reference, uint8 (H, W).
+
+    `camera_px` is the width of a pixel here in the camera's pixels, in which reasons are given.
+    """
+
+    def __init__(self, reference_grey: U8, disc: Disc, camera_px: int = 1) -> None:
+        usual = eighth(reference_grey)
+        rows, cols = (np.arange(size) * 8 + 3.5 for size in usual.shape)
+        r = np.hypot(rows[:, None] - disc.row_c, cols[None, :] - disc.col_c)
+        around = (r > SURROUND_FROM * disc.radius_px + 6) & (r < SURROUND_TO * disc.radius_px)
+        self._at = np.flatnonzero(around)
+        self._usual: F32 = usual.take(self._at).astype(np.float32)
+        self._lit = np.flatnonzero(self._usual >= LIT_LEVEL)
+        self._camera_px, self._step_px = camera_px, max(camera_px, 2)
+        step, reach = self._step_px // camera_px, MOST_PX // camera_px
+        self._side = 2 * reach // step + 1
+        wide = np.pad(reference_grey, reach, mode="edge")
+        height, width = reference_grey.shape
+        offsets = range(2 * reach, -1, -step)  # the first shift moves the picture up and left
+        shifted = np.stack(
+            [eighth(wide[r : r + height, c : c + width]).take(self._at) for r in offsets for c in offsets]
+        )
+        # Each shift in a light that may fall more on one side: 1, and the row and the column, times the picture.
+        plane = np.stack(np.broadcast_arrays(1.0, rows[:, None] - disc.row_c, cols - disc.col_c))
+        plane = plane.reshape(3, -1)[:, self._at] / np.array([[1.0], [disc.radius_px], [disc.radius_px]])
+        self._lights: F32 = (shifted[:, None] * plane).astype(np.float32)  # (shifts, 3, blocks)
+        self._from_lights = np.linalg.pinv(self._lights @ self._lights.transpose(0, 2, 1), hermitian=True)
+        middle = len(shifted) // 2
+        slopes = (shifted[middle + k].astype(np.float32) - shifted[middle - k] for k in (1, self._side))
+        slope = min(float(np.sqrt(np.mean(each**2))) for each in slopes) if self._usual.size >= LEAST_BLOCKS else 0.0
+        self._slope = slope / (2 * self._step_px)
+
+    def measured(self, eighths: U8) -> tuple[Measured, ...]:
+        """What is measured of an image's means over 8x8 px."""
+        if not self._usual.size:
+            return ()
+        found = eighths.take(self._at).astype(np.float32)
+        # Use the surround's own light, because a contact changes the brightness of the whole disc.
+        lit = self._lit
+        light = median(found[lit] / self._usual[lit]) if lit.size else 1.0
+        light = min(max(light, LIGHT_LOW), LIGHT_HIGH)
+        expected = np.minimum(np.float32(light) * self._usual, np.float32(255))
+        changed = np.abs(found - expected)
+        part = np.count_nonzero(changed > SURROUND_LEVELS + 0.25 * expected) / found.size
+        shift_px = self._shift_px(found)
+        moved = f"the camera has moved by {shift_px:.1f} px since the reference was taken"
+        other = f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the reference"
+        return (
+            Measured("camera", "shift, px", shift_px, 0, LEAST_PX, Reason(ReasonCode.CAMERA_SHIFT, moved)),
+            Measured("camera", "other surround", part, 0, SURROUND_PART, Reason(ReasonCode.SURROUND, other)),
+        )
+
+    def _shift_px(self, found: F32) -> float:
+        """The shift that explains the change of what lies around, in the camera's pixels; 0 if none does."""
+        if self._slope < LEAST_SLOPE:
+            return 0.0
+        seen = self._lights @ found
+        explained = np.einsum("ki,kij,kj->k", seen, self._from_lights, seen)
+        left = (found @ found - explained).reshape(self._side, self._side)
+        row, col = divmod(int(left.argmin()), self._side)
+        middle = self._side // 2
+        least = max(LEFT_PART * float(left[middle, middle]), found.size * self._slope**2)
+        if left[row, col] > least:
+            return 0.0
+        shift = (row - middle + _vertex(left[:, col], row), col - middle + _vertex(left[row], col))
+        return self._step_px * math.hypot(*shift)
+
+
+def _vertex(values: F32, at: int) -> float:
+    """Where the parabola through the least value and its neighbours is least, -0.5 to 0.5 beside it."""
+    if not 0 < at < len(values) - 1:
+        return 0.0
+    before, here, after = (float(value) for value in values[at - 1 : at + 2])
+    bend = before - 2 * here + after
+    return 0.5 * (before - after) / bend if bend > 0 else 0.0
 
 
 @frozen
@@ -89,6 +182,11 @@ class Drift:
     def shift_px(self) -> float:
         """Distance that the centre of the visible circle moved, px."""
         return math.hypot(self.row_px, self.col_px)
+
+    @property
+    def light_reason(self) -> Reason | None:
+        """Reason that light or focus changed; None if the change is small enough to be compensated."""
+        return light_drift_reason(self.light, self.uneven, self.contrast)
 
 
 def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
@@ -178,18 +276,6 @@ def shift_reason(found: Drift, disc: Disc) -> Reason | None:
 def shifted_too_far(found: Drift, disc: Disc) -> bool:
     """Whether the visible circle is too far from its calibrated place."""
     return found.moved_px > SHIFTED_PART * disc.radius_px
-
-
-def light_drift_reason(found: Drift) -> Reason | None:
-    """Reason that light or focus changed; None if the change is small enough to be compensated."""
-    changes = []
-    if not LIGHT_LOW <= found.light <= LIGHT_HIGH:
-        changes.append(f"{found.light:.2f} times the light")
-    if found.uneven > UNEVEN:
-        changes.append(f"the light falls differently (it varies by {100 * found.uneven:.0f} % over the disc)")
-    if found.contrast < CONTRAST:
-        changes.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
-    return Reason(ReasonCode.LIGHT_DRIFT, ", ".join(changes)) if changes else None
 
 
 def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:

@@ -7,15 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 
-from tacshade_edge.core.frame_check.registration import (
-    Drift,
-    Look,
-    drift,
-    light_drift_reason,
-    look,
-    shift_reason,
-    shifted_too_far,
-)
+from tacshade_edge.core.frame_check.camera import Drift, Look, drift, look, shift_reason, shifted_too_far
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import camera_faults
@@ -51,7 +43,6 @@ def test_the_camera_is_found_wherever_it_went(
     assert found.zoom == pytest.approx(zoom, abs=0.002)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shift_px", [0.0, 1.5, 6.0])
 def test_a_press_does_not_hide_or_feign_a_move(reference: Look, shift_px: float) -> None:
     for press in presses()[::4]:
@@ -71,17 +62,13 @@ def test_what_is_said_of_a_move() -> None:
 def test_light_and_focus(reference: Look) -> None:
     free, touched = to_grey(unloaded()), to_grey(pressed("ball", 2.5).image)
     for image in (free, touched):
-        assert light_drift_reason(drift(reference, image)) is None
+        assert drift(reference, image).light_reason is None
         assert drift(reference, camera_faults.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
-        assert text_of(light_drift_reason(drift(reference, camera_faults.gain(image, 0.7)))).endswith(
-            " times the light"
-        )
-        assert light_drift_reason(drift(reference, camera_faults.gain(image, 0.9))) is None
-        assert "blurred or dirty" in text_of(light_drift_reason(drift(reference, camera_faults.defocus(image, 1.5))))
+        assert text_of(drift(reference, camera_faults.gain(image, 0.7)).light_reason).endswith(" times the light")
+        assert drift(reference, camera_faults.gain(image, 0.9)).light_reason is None
+        assert "blurred or dirty" in text_of(drift(reference, camera_faults.defocus(image, 1.5)).light_reason)
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
-        assert "the light falls differently" in text_of(
-            light_drift_reason(drift(reference, (image * ramp).astype(np.uint8)))
-        )
+        assert "the light falls differently" in text_of(drift(reference, (image * ramp).astype(np.uint8)).light_reason)
 
 
 @settings(max_examples=15)
@@ -111,4 +98,4 @@ def test_good_presses_of_other_sensors_did_not_move_or_age() -> None:
         old = look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
         for press in presses(model, 10):
             found = drift(old, to_grey(press.image))
-            assert shift_reason(found, calibration.geometry.disc) is light_drift_reason(found) is None
+            assert shift_reason(found, calibration.geometry.disc) is found.light_reason is None
