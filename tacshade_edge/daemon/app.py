@@ -1,7 +1,4 @@
-"""The daemon: the only module that wires source, reconstructor and broker together, and the main thread's loop.
-
-docs/explanation/architecture.md lists the threads and the queues between them.
-"""
+"""The daemon: the only module that wires source, reconstructor and broker together, and the main thread's loop."""
 
 from __future__ import annotations
 
@@ -77,11 +74,7 @@ ALONE: Final = Siblings()
 
 
 class App:
-    """One sensor's daemon.
-
-    `calibration` may be the reason that there is none yet: until `reload` finds one, only the camera's picture is
-    published.
-    """
+    """One sensor's daemon; until `reload` finds a calibration, only the camera's picture is published."""
 
     def __init__(
         self, document: Document, source: FrameSource, calibration: Calibration | Reason, siblings: Siblings = ALONE
@@ -178,11 +171,7 @@ class App:
         self._events.put("reload")
 
     def run(self) -> None:
-        """Work until `stop` or the end of a finite source.
-
-        Raises ConfigError if the source can never work, and the exception that ended a thread; the broker then
-        publishes the last will.
-        """
+        """Work until `stop` or the end of a finite source. Raises ConfigError, or what ended a thread."""
         # OpenCV's other threads spin between a frame's small images: they take a third of its CPU time and save none.
         cv2.setNumThreads(1)
         share_free_memory()

@@ -1,8 +1,7 @@
 """The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device.
 
 Each finger has its own pair of datagram sockets, made before any process is forked: a finger that fills its line harms
-no other, what comes out of a line is that finger's, and neither end waits. One byte of shared memory holds what the
-hand wants.
+no other, and neither end waits. One byte of shared memory holds what the hand wants.
 """
 
 from __future__ import annotations

@@ -33,10 +33,9 @@ class SourceState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """A frame and its result.
+    """A frame with its pose, if known, and its result.
 
-    `frame` has its pose, if known. `calibration` is None if there is none yet, and every reconstruction is then
-    invalid; `reconstruction` is None for a contact whose depth nobody needed; `step_ms` is 0 if it was not measured.
+    `calibration` is None if there is none yet; `reconstruction` is None for a contact whose depth nobody needed.
     """
 
     frame: Frame
@@ -49,10 +48,8 @@ class FrameObserver:
     """A part of the daemon that sees frames; subclasses override what they need, and the defaults do nothing.
 
     The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need` and `see`. None of
-    these may wait. The main thread calls the others, except `answer`, which any thread may call.
-
-    `health_key` is the key in ``health`` for what `health` returns, if any. `stop` must have returned `stop_s` after
-    the beginning of a stop; the part with the earliest time stops first.
+    these may wait. The main thread calls the others, except `answer`, which any thread may call. `stop` must have
+    returned `stop_s` after the beginning of a stop; the part with the earliest time stops first.
     """
 
     health_key: ClassVar[str] = ""

@@ -1,7 +1,4 @@
-"""Source, reconstructor and observers with their two threads: the graph that every live command runs.
-
-`Grab` fills the mailbox, `Reconstruct` empties it.
-"""
+"""Source, reconstructor and observers with their two threads: the graph that every live command runs."""
 
 from __future__ import annotations
 
@@ -113,10 +110,7 @@ class Mailbox(Generic[T]):
         self._closed = False
 
     def put(self, item: T) -> T | None:
-        """Leave `item` for the taker; never waits.
-
-        Returns the item that it replaced, or `item` itself if the mailbox is closed: the caller accounts for it.
-        """
+        """Leave `item` for the taker; never waits. The caller accounts for what it gets back: replaced, or refused."""
         with self._lock:
             if self._closed:
                 return item

@@ -1,9 +1,4 @@
-"""The profile that runs and its reconstructor, and the choice of a profile that keeps a latency budget.
-
-`ProfileChooser` steps down quickly, as soon as more than a tenth of a window of frames is late. It steps up slowly: a
-full window must leave room for the better profile, and after a failed try the next one waits twice as long. Whatever
-the noise, it takes at most `STEPS_A_MINUTE` steps in any minute.
-"""
+"""The profile that runs and its reconstructor, and the choice of a profile that keeps a latency budget."""
 
 from __future__ import annotations
 
@@ -55,11 +50,11 @@ class Standing:
 
 
 class ProfileChooser:
-    """Steps down a ladder of profiles when a latency budget is not kept, and up when a better one would keep it.
+    """Steps down a ladder of profiles as soon as a budget is not kept, and up slowly when a better one would keep it.
 
-    No clock and no thread: the caller passes in each frame's durations. `costs_ms` gives the duration of a step in
-    contact on this machine when it is idle, the most expensive profile first. The ratios predict a better profile's
-    time under load; the first choice is the most expensive that `MARGIN` allows. Another thread may read `standing`.
+    After a failed try up the next one waits twice as long; whatever the noise, it takes at most `STEPS_A_MINUTE`. No
+    clock and no thread. `costs_ms`, the most expensive profile first, are those of a step in contact on this idle
+    machine; their ratios predict a better profile's time under load. Another thread may read `standing`.
     """
 
     def __init__(self, budget_ms: float, costs_ms: Mapping[str, float]) -> None:

@@ -140,10 +140,7 @@ class Health(FrameObserver):
         self._latest = seen.reconstruction or self._latest
 
     def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
-        """The message without the observers' reports; ``frames`` are all counted at one instant.
-
-        `source_dropped` frames never reached this process and are not among them.
-        """
+        """The message without the observers' reports; ``frames`` are all counted at one instant."""
         now_ns = time.monotonic_ns()
         counts, before = self._ledger.counts(), self._last
         seconds = max(now_ns - self._last_ns, 1) / 1e9
@@ -168,10 +165,7 @@ class Health(FrameObserver):
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
-        """Note whether frames come but none can be used; keep the first reason, so that it is published once.
-
-        A missing calibration is no frame's fault: the daemon reports it.
-        """
+        """Note whether frames come but none can be used; keep the first reason, so that it is published once."""
         if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
             return
         if delivered(counts) > delivered(before):
@@ -216,9 +210,8 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 class HomeAssistant:
     """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do.
 
-    Retained announcements outlive the daemon, and so does the status under its own topics that reports them. A daemon
-    that must not announce withdraws what an earlier run announced; one that never announced writes nothing outside its
-    own topics.
+    Retained announcements outlive the daemon, and so does the status under its own topics that reports them. One that
+    never announced writes nothing outside its own topics.
     """
 
     def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:

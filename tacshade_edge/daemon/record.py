@@ -1,6 +1,5 @@
-"""Recording next to the running daemon: one recording at a time, written by its own thread.
+"""Recording next to the running daemon, one at a time, by a thread behind a bounded queue: no frame waits for the disk.
 
-`LiveRecorder.tap` takes each captured frame; the bounded queue behind it keeps the disk from ever delaying a frame.
 If recordings begin with a pre-roll, the thread runs before the request and keeps the frames that it will write first.
 """
 
@@ -27,10 +26,7 @@ T = TypeVar("T")
 
 
 class ByteQueue(Generic[T]):
-    """A first-in, first-out queue between two threads, bounded in bytes, except that an empty one takes any item.
-
-    `refused` counts the items that found it full; nobody waits for room.
-    """
+    """A first-in, first-out queue between two threads, bounded in bytes; `refused` counts what found it full."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
@@ -41,10 +37,7 @@ class ByteQueue(Generic[T]):
         self.refused = 0
 
     def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> None:
-        """Add an item for the taker; refuse and count it if full, ignore it if closed.
-
-        `reserve_bytes` above the limit are reserved for this kind of item.
-        """
+        """Add an item; refuse and count it if full. `reserve_bytes` above the limit are for this kind of item."""
         with self._ready:
             if self._closed:
                 return
@@ -105,10 +98,7 @@ class Event:
 
 
 class Kept:
-    """The latest frames, encoded, bounded in time and in bytes; for one thread, any may read the counts.
-
-    `given_up` counts the frames that `bound` removed for lack of room.
-    """
+    """The latest frames, encoded, for one thread; `given_up` counts those that `bound` removed for lack of room."""
 
     def __init__(self) -> None:
         self._items: deque[Shot | Event] = deque()
@@ -303,9 +293,8 @@ class _Job:
 class LiveRecorder:
     """Starts and ends recordings; only the main thread uses it.
 
-    `report` (a recording was written) and `posed`, which adds the pose to a frame and may wait a moment, are called in
-    the recording's thread. `tap` takes the next captured frame, in the grab thread; it is None while no frame is
-    wanted.
+    `report` (it is written) and `posed`, which may wait for a frame's pose, are called in the recording's thread. `tap`
+    takes the next captured frame in the grab thread; None while none is wanted.
     """
 
     def __init__(self, report: Callable[[], None], posed: Posed | None = None) -> None:
@@ -335,11 +324,7 @@ class LiveRecorder:
         about: Mapping[str, object],
         make: Callable[..., Recorder] = Recorder,
     ) -> None:
-        """Begin a recording in a new folder; `about` goes to ``recording.json``.
-
-        Raises ConfigError if the folder exists; DeviceError if another recording runs (``BUSY``), the folder cannot be
-        made, or the disk is down to the floor.
-        """
+        """Begin a recording in a new folder; `about` goes to ``recording.json``. Raises TacshadeError."""
         if (now := self.now()) is not None:
             doing = "still writing the latest recording to" if now.ending else "already recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)

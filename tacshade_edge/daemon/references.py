@@ -33,10 +33,7 @@ GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
 
 
 class ReferenceCollector:
-    """Collects the images of the next frames; a touched or invalid frame ends it.
-
-    `outcome` is None until there are all images, or the reason that they cannot be used.
-    """
+    """Collects the images of the next frames until `outcome` has all, or the reason that they cannot be used."""
 
     def __init__(self) -> None:
         self.outcome: list[U8] | Reason | None = None
@@ -107,9 +104,8 @@ class UntouchedFrames:
 class Origin:
     """The reference that following starts from, of the calibration's file or of a request that outlives a restart.
 
-    `calibrated` is the calibration as in its file: requests are measured against it, so that no number of them leads
-    away from the geometry; `calibration` has this reference. `reason` is why a stored reference is not used, or why
-    this one will not outlive a restart.
+    Requests are measured against the file's calibration, `calibrated`, so that no number of them leads away from it.
+    `reason` is why a stored reference is not used, or why this one will not outlive a restart.
     """
 
     calibrated: Calibration
@@ -130,8 +126,7 @@ class Origin:
 def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
     """The reference that was stored for a calibration, or the calibration's own.
 
-    A reference stored for another calibration is deleted, so that it is reported once and never meets a later file,
-    except if another daemon owns it (`unowned`).
+    One stored for another calibration is deleted, so that it is reported once, except if another daemon owns it.
     """
     try:
         stored = reference_file.load(path, calibrated)
@@ -149,10 +144,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
 
 
 def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None) -> Origin:
-    """Take a new reference and store it if possible, but not if another daemon owns the file (`unowned`).
-
-    Raises ConfigError if the images cannot be used.
-    """
+    """Take a new reference; store it if no other daemon owns the file. Raises ConfigError for unusable images."""
     taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
     reason = unowned
     if reason is None:
@@ -170,11 +162,7 @@ State = Literal["waiting", "following", "stopped", "held"]
 
 
 class References(FrameObserver):
-    """Where the reference began, and how far it has followed from there.
-
-    Only the main thread uses it, except that the reconstruct thread calls `see`. `path` is the file of the stored
-    reference; `calibration` has the reference in use, or is why there is none.
-    """
+    """Where the reference began, and how far it has followed from there; only the main thread uses it, except `see`."""
 
     health_key = "reference"
     stop_s = STITCHED_S
@@ -235,10 +223,7 @@ class References(FrameObserver):
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
     def follow(self, held: bool) -> bool:
-        """Follow if frames for it have come; return True if `calibration` or the content of ``info`` has changed.
-
-        The reference is `held` while a recording contains it.
-        """
+        """Follow if frames for it have come and no recording holds it; True if what is published of it has changed."""
         taken, calibration = self.frames.take(), self.calibration
         if taken is None or isinstance(self._origin, Reason) or isinstance(calibration, Reason):
             return False

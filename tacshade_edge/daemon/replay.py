@@ -1,7 +1,4 @@
-"""Replays a recording through the daemon's reconstructor and publisher, by the recording's clock.
-
-One thread and no mailbox: every frame is reconstructed, in order, so equal input and settings give equal results.
-"""
+"""Replays a recording through the reconstructor and publisher, every frame in order, by the recording's clock."""
 
 from __future__ import annotations
 
@@ -32,11 +29,7 @@ Deliver = Callable[[RecordedFrame, Reconstruction], None]
 
 @dataclass(slots=True)
 class Progress:
-    """The progress of a replay; it stays readable after an interruption.
-
-    Undecodable images are not among the frames; `first_ns` and `last_ns` are the recording's, `seconds` ours, including
-    the waits of a paced replay.
-    """
+    """The progress of a replay; `seconds` are ours, with waits, undecodable images are not among the frames."""
 
     frames: int = 0
     contacts: int = 0
@@ -132,9 +125,8 @@ REPORT_PERIOD_S: Final = 1.0
 class Playback:
     """Plays a recording for a person (``req/replay``): paused, frame by frame, from anywhere, faster and slower.
 
-    It provides each frame when it is due; the end is a pause, after which playback can continue anywhere. One thread
-    calls `read`; any may call `command` and `status`. `reopen` opens the recording at its first frame; `changed`
-    receives the status after every command, and at the end.
+    It provides each frame when it is due; the end is a pause. One thread calls `read`; any may call `command` and
+    `status`. `changed` receives the status after every command, and at the end.
     """
 
     def __init__(self, reopen: Callable[[], Recording], speed: float, changed: Changed) -> None:
@@ -265,11 +257,7 @@ REPLAY = Reason(ReasonCode.REPLAY, "replay")
 
 
 class ReplayLink:
-    """Publishes what `run` would, under a separate sensor id: every frame in contact, and the numbers in between.
-
-    With `wait`, it waits until the socket has taken each payload, so that none is superseded; otherwise the newest
-    wins, as in `run`. Raises ConfigError for a host name that can never work.
-    """
+    """Publishes what `run` would, under a separate sensor id; with `wait`, nothing is superseded."""
 
     def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
         self._where = f"{broker['host']}:{broker['port']}"

@@ -27,10 +27,7 @@ Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
 
 
 class Requests(FrameObserver):
-    """Handles requests; each gets exactly one reply.
-
-    `changed` is called after the reconstructor was replaced; `others` carry out and answer the other verbs.
-    """
+    """Handles requests, each with exactly one reply; `changed` is called after the reconstructor was replaced."""
 
     def __init__(
         self,

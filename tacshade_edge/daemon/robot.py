@@ -24,11 +24,7 @@ LATENCY_MAX_MS = 1
 
 
 class Robot(FrameObserver):
-    """The robot's line, clock and poses; without a port, another sensor has it and shares it.
-
-    `on_request` passes the robot's requests to the main thread, `state` answers ``STATUS``, `publish_status` publishes
-    ``status/serial``, `missing` is why there is no calibration.
-    """
+    """The robot's line, clock and poses; without a port, another sensor has it and shares it."""
 
     health_key = "serial"
     stop_s = SERIAL_STOPPED_S

@@ -182,18 +182,14 @@ class Sessions(Protocol):
     """Stitching sessions, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
 
     def submit(self, action: str, name: str, reply: Callable[[SessionResult | Reason], None]) -> None:
-        """Do `action` (``BEGIN`` ...) without waiting; `name` is empty if none was given.
-
-        `reply` is called once, now or later, from any thread, with the result or the reason that there is none.
-        """
+        """Do ``BEGIN`` ... without waiting; `reply` is called once, from any thread."""
         ...
 
 
 class SerialCommands:
     """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them.
 
-    `on_request` passes a `Request` to the main thread, as for MQTT; `complete` receives its outcome. `wake` is called
-    when an answer waits to be sent. Without `sessions`, STITCH is ``UNAVAILABLE``.
+    `complete` receives the outcome of what `on_request` passed on; `wake` is called when an answer waits to be sent.
     """
 
     def __init__(
@@ -323,8 +319,7 @@ class PortState:
 class SerialChannel:
     """One robot's line: opens the port, reopens it when lost, and carries bytes between it and the link.
 
-    Any thread may read `port_state`, which is replaced as a whole, and `quiet_since_ns`: when the latest byte came or
-    the port was opened.
+    Any thread may read `port_state` and `quiet_since_ns`, when the latest byte came or the port was opened.
     """
 
     def __init__(self, port: SerialPort, motion: RobotMotion, commands: SerialCommands) -> None:

@@ -30,10 +30,9 @@ from tacshade_edge.types import F32, Calibration
 
 @dataclass(frozen=True, slots=True)
 class MapRevision:
-    """The map after a press, or the final one, whose files are in `folder`, for subscribers.
+    """The map after a press, or the final one, whose files are in `folder`; `revision` counts the presses and the end.
 
-    `revision` counts the presses and the end; `used` presses are in the map. `raster` makes the map in the session's
-    thread; its cost grows with the map, so call it no more often than needed.
+    `raster` makes the map in the session's thread, at a cost that grows with the map.
     """
 
     name: str
@@ -51,10 +50,7 @@ POINTS_MAX = 20_000
 
 
 class MapPublisher:
-    """Publishes ``map/revision`` and ``map/cloud`` at most once a second as a map grows, then ``map/final``.
-
-    The larger the map, the more its raster costs. `publish` must not wait.
-    """
+    """Publishes ``map/revision`` and ``map/cloud`` at most once a second as a map grows, then ``map/final``."""
 
     def __init__(self, publish: Callable[[str, bytes], None]) -> None:
         self._publish = publish
@@ -126,10 +122,7 @@ class Session:
 
     @classmethod
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
-        """Begin a session in a new folder below `folder`; an empty `name` becomes the time in UTC.
-
-        Raises RefusedError (BAD_NAME, NAME_TAKEN), or DeviceError if the folder cannot be written.
-        """
+        """Begin a session in a new folder, by default named by the time in UTC. Raises RefusedError or DeviceError."""
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if not re.match(RECORD_NAME, name):
             raise RefusedError(ReasonCode.BAD_NAME, f"found {quoted(name)}, expected {RECORD_NAME_RULE}")
@@ -172,10 +165,7 @@ class Session:
         return SessionStatus(self.name, self.presses, self.points, tiles, self.revision, missed)
 
     def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
-        """Add a press; it is on the disk when this returns.
-
-        Raises RefusedError (MAP_FULL), or DeviceError if the disk failed and nothing was added.
-        """
+        """Add a press; it is on the disk when this returns. Raises RefusedError (MAP_FULL) or DeviceError."""
         # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
         self._file.append(points, base_T_sensor)
         try:
@@ -191,10 +181,7 @@ class Session:
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
     def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
-        """Make the final map and write its files, which takes seconds and ends the session.
-
-        Raises DeviceError if the disk failed; the session is then still open.
-        """
+        """Make the final map and write its files, which takes seconds. Raises DeviceError: it is still open."""
         final = self._stitcher.finish()
         raster, crc32 = final.raster, self._file.info.calibration_crc32
         used = sum(press.rejected is None for press in final.presses)

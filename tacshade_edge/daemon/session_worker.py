@@ -55,11 +55,9 @@ _NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """The state of the sessions at one instant.
+    """The state of the sessions at one instant; while `ending`, the map is being made.
 
-    While `ending`, the map is being made, which takes seconds. `missed` contacts at rest could not be added to the
-    latest session since the daemon started, the latest for `missed_reason`. `folder` is that of the latest finished
-    map.
+    `missed` contacts at rest could not be added to the latest session, the latest for `missed_reason`.
     """
 
     name: str = ""
@@ -357,10 +355,7 @@ _REPORTED = ("name", "presses", "points", "revision", "missed", "folder")
 
 
 class SessionRequests(FrameObserver):
-    """``req/stitch`` and ``status/stitching``; present only if frames have poses: of the robot, or of their source.
-
-    Only the main thread uses it, except for `see`; `publish` (retained) and `reply` are called from any thread.
-    """
+    """``req/stitch`` and ``status/stitching``; present only if frames have poses: of the robot, or of their source."""
 
     health_key = "stitching"
     stop_s = STITCHED_S

@@ -71,10 +71,7 @@ class _Part:
 
 
 class Supervisor:
-    """Keeps a process running for each sensor of one settings file, and for the hand that they form.
-
-    `ended` receives the id of a sensor whose process has ended.
-    """
+    """Keeps a process running for each sensor and for their hand; `ended` receives the id of each that ends."""
 
     def __init__(
         self, documents: Sequence[Document], hand: Hand | None = None, ended: Callable[[str], None] = lambda name: None
