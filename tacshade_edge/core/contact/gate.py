@@ -21,9 +21,9 @@ from tacshade_edge.types import F32, U8, Calibration, Disc
 GATE_PART, GATE_NOISE = 0.04, 6.0
 """Part of the pixels that must have changed colour to ask a network, beyond what the sensor's references show and this
 many times their noise (of 255). With the noise that few references are assumed to have, the level is 0.064. The least
-change in which a network found 0.3 mm: 0.07 (tactile-manibot), 0.18 (TacTipFlexSim, simulated TacTips), 0.25 (raw
-TacTips), 0.27 (simulated TacShades), 0.35 (plates). The most at rest: 0.01; warm-up 0.05, moved by 1 px 0.12, the dent
-that a release leaves 0.18."""
+change in which a network found 0.3 mm: 0.07 (tactile-manibot), 0.18 (TacTipFlexSim, a simulated TacTip), 0.25 (raw
+TacTips), 0.27 (two simulated TacShades). The most at rest: 0.01; warm-up 0.05, the dent that a release leaves 0.18,
+moved by 1 px 0.12 at 640x480 and 0.23 at 320x240."""
 PLAIN_PART, PLAIN_NOISE = 0.13, 24.0
 """The same, for a contact where no network decides."""
 SURE_PART = 0.3
