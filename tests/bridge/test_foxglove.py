@@ -23,7 +23,6 @@ import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from support.published_sensor import CRC, PublishedSensor, bump
-from support.published_sensor import calibration as published_calibration
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
@@ -235,62 +234,6 @@ def test_only_what_is_watched_is_asked_for(tmp_path: Path) -> None:
     with bridged(tmp_path, "--sensor", "drawn") as (url, _, asker):
         assert not heard()
         asyncio.run(watch(url))
-
-
-def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
-    async def watch(url: str, sensor: PublishedSensor, asker: Asker) -> None:
-        async with viewer(url) as seen:
-            await seen.subscribe("/tacshade/drawn/height", "/tacshade/drawn/log")
-            await until(lambda: asker.heard("tacshade/drawn/height"))
-            for damaged in (b"TCSH", wire.encode_cloud(bump(1, 1.0, 236.0, 328.0), calibration_crc32=CRC)):
-                sensor.publish("height", damaged)
-            for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000):
-                sensor.publish("info", damaged)
-                sensor.publish("status/camera", damaged)
-            sensor.publish("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
-            (image,) = await seen.until("height")
-            assert image.width == 160
-
-    with bridged(tmp_path) as (url, sensor, asker):
-        asyncio.run(watch(url, sensor, asker))
-
-
-def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp_path: Path) -> None:
-    """Retained, so that it is there at every start; the viewer asks for its skin too, should there be one."""
-
-    async def watch(url: str, real: PublishedSensor, bad: PublishedSensor, payload: bytes, asker: Asker) -> None:
-        async with viewer(url) as seen:
-            await seen.subscribe("/tacshade/drawn/skin", "/tacshade/drawn/height")
-            await seen.until("skin")
-            await until(lambda: asker.heard("tacshade/drawn/height"))
-            for _ in range(2):
-                real.publish("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
-                (image,) = await seen.until("height")
-                assert image.width == 160
-                bad.publish("info", payload)  # one that comes while somebody looks
-            assert {topic.split("/")[2] for topic in seen.channels} == {"bad", "drawn"}  # and no bad-...
-
-    info = json.loads(
-        messages.encode_info(version="0", config_digest="0", profile="fast", calibration=published_calibration())
-    )
-    values = {"radius_px": "0", "skin_radius_mm": "0", "camera_distance_mm": "1e308", "row_c": "1" + "0" * 400}
-    with Broker(tmp_path) as broker, PublishedSensor(broker.port, "bad") as bad:
-        for key, value in values.items():
-            changed = json.dumps({**info, "geometry": {**info["geometry"], key: "?"}}).replace('"?"', value)
-            bad.base = f"tacshade/bad-{key}"
-            bad.publish("info", changed.encode(), retain=True)
-        with (
-            PublishedSensor(broker.port) as real,
-            BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,
-        ):
-            asker = Asker(broker.port)
-            try:
-                asyncio.run(watch(bridge.url, real, bad, changed.encode(), asker))
-            finally:
-                asker.stop()
-            assert bridge.stopped_s() < patience(4)
-            assert re.search(r"bad-\w+: info: ", bridge.log())
-            assert "Traceback" not in bridge.log()
 
 
 def test_it_ends_at_once_with_connections_that_say_nothing(tmp_path: Path) -> None:

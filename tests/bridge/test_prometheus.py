@@ -118,24 +118,6 @@ def test_real_hands_come_before_invented_ones() -> None:
     assert refused == {"undecodable": 0, "no_room": SENSORS_MAX}
 
 
-@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-1"])
-def test_a_health_that_no_daemon_tells_harms_no_other(number: str, caplog: pytest.LogCaptureFixture) -> None:
-    from prometheus_client import CollectorRegistry, generate_latest
-
-    sensors = prometheus.SensorMetrics([])
-    registry = CollectorRegistry()
-    registry.register(sensors)
-    bad = json.dumps({**json.loads(health()), "source_dropped": "?"}).replace('"?"', number).encode()
-    for _ in range(3):
-        sensors.hear("tacshade/bad/health", bad, False)
-        sensors.hear("tacshade/right/health", health(), False)
-    page = series(generate_latest(registry).decode())
-    assert page["tacshade_up", (("sensor", "right"),)] == 1
-    assert page["tacshade_bridge_refused_total", (("why", "undecodable"),)] == 3
-    (line,) = (record.getMessage() for record in caplog.records)
-    assert line.startswith("bad: health: ")
-
-
 @pytest.mark.broker
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_prometheus_reads_it(tmp_path: Path) -> None:

@@ -19,15 +19,7 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("broker", ["host:port", "host:0", ":1883"])
-def test_a_wrong_address_is_told(broker: str) -> None:
-    with pytest.raises(ts.ConfigError, match="expected"):
-        ts.listen(broker, "left-index")
-
-
-def test_a_wrong_name_and_an_absent_broker_are_told() -> None:
-    with pytest.raises(ts.ConfigError, match="expected the sensor_id"):
-        ts.listen("localhost", "tacshade/+")
+def test_an_absent_broker_is_told() -> None:
     with pytest.raises(
         ts.DeviceError, match="Connection refused; expected a broker that serves topics under tacshade/drawn/"
     ):
