@@ -17,6 +17,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
+from tacshade_edge.protocol.topics import decode_hand
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, free_port
 from tools.testbed.painted_sensor import TOUCHED, painted_calibration
@@ -208,6 +209,45 @@ def test_daemon_and_dashboard_work_together(filled_in: Served, tmp_path: Path) -
             _, errors = daemon.communicate(timeout=patience(20))
         assert daemon.returncode == 0, errors
         wait_until(lambda: dashboard.messages[-1].payload == b"stopped", 10, "the last word")
+
+
+def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp_path: Path) -> None:
+    """Each part of the real daemon logs in as itself, and the dashboard sees what the hand reports of both fingers."""
+    cv2.imwrite(str(tmp_path / "touched.png"), TOUCHED)
+    for user in (SENSOR, OTHER):
+        calibration_file.save(tmp_path / f"{user}.npz", painted_calibration())
+        (tmp_path / f"{user}.password").write_text(f"word of {user}\n")
+
+    def login(user: str) -> str:
+        return f"username: {user}, password_file: {user}.password"
+
+    fingers = [
+        f"  {name}: {{calibration: {name}.npz, source: {{kind: files, path: {path}, fps: 20, loop: true}}, "
+        f"mqtt: {{{login(name)}}}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}}"
+        for name, path in ((SENSOR, "touched.png"), (OTHER, "./touched.png"))
+    ]
+    config = tmp_path / "config.yaml"
+    common = (
+        f"hand_id: {OTHER}\nmqtt: {{host: 127.0.0.1, port: {filled_in.port}, {login(OTHER)}, ca_file: {filled_in.ca}}}"
+    )
+    config.write_text("\n".join([common, "sensors:", *fingers]) + "\n")
+    topic = f"tacshade/hand/{OTHER}/objects"
+    with User(filled_in, DASHBOARD) as dashboard:
+        dashboard.subscribe("tacshade/hand/#")
+        command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+        daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+
+            def both() -> bool:
+                told = [m for m in list(dashboard.messages) if m.topic == topic][-1:]
+                return any({f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"} for m in told)
+
+            wait_until(both, 30, "the hand reports both fingers")
+        finally:
+            daemon.terminate()
+            _, errors = daemon.communicate(timeout=patience(20))
+        assert daemon.returncode == 0, errors
+        assert "refuses" not in errors
 
 
 def resident_mb(pid: int) -> float:
