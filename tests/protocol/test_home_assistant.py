@@ -32,7 +32,8 @@ def test_it_is_as_the_documentation_says(topic: str) -> None:
     assert COMMON | needed <= set(entity) <= COMMON | needed | may | {"entity_category"}
     assert entity["unique_id"] == f"tacshade_left-index_{name}"
     assert entity.get("entity_category", "config") in ("config", "diagnostic")
-    assert entity.get("options", list(PROFILES)) == list(PROFILES)
+    offered = [profile for profile in PROFILES if profile != "paper"]
+    assert entity.get("options", offered) == offered
     assert set(entity["device"]) == {"identifiers", "name", "model", "sw_version"}
     assert set(entity["origin"]) == {"name", "sw_version"}
     (availability,) = entity["availability"]
