@@ -37,17 +37,9 @@ _AROUND = 1.35
 
 
 class ContactGate:
-    """The gate of one sensor.
-
-    Parameters
-    ----------
-    preprocessor : Preprocessor
-        Of the images that the gate sees; `gate_preprocessor` in use.
-
-    Attributes
-    ----------
-    least_part, plain_part : float
-        Part of the pixels that must have changed for a network to look, and for a contact without one.
+    """The gate of one sensor. `preprocessor`: of the images that the gate sees; `gate_preprocessor` in use.
+    `least_part`, `plain_part`: part of the pixels that must have changed for a network to look, and for a contact
+    without one.
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
@@ -88,18 +80,8 @@ class UnchangedSkin:
 
     Frames are compared with that one, so slow changes add up.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the images.
-    disc : Disc
-    halved : bool
-        Whether the images are already halved: the camera's noise is half as large there.
-
-    Attributes
-    ----------
-    degraded : Reason or None
-        Why that frame was degraded; None if it was not.
+    `shape`: rows and columns of the images. `halved`: whether the images are already halved: the camera's noise is half
+    as large there. `degraded`: why that frame was degraded; None if it was not.
     """
 
     def __init__(self, shape: tuple[int, ...], disc: Disc, halved: bool) -> None:

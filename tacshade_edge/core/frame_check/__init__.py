@@ -19,17 +19,9 @@ __all__ = ["Judges", "Measured", "PictureJudge", "first_reason", "plain_judges",
 class Judges:
     """The judges of one sensor's images: those that need no network, in the order in which they are asked.
 
-    Parameters
-    ----------
-    reference_grey : uint8 (H, W)
-        Mean of the references.
-    disc : Disc
-    pitch_px : float or None
-        Marker pitch, for the plain tests of the skin; None if a network judges the skin.
-    camera_px : int
-        Width of a pixel here in the camera's pixels, in which reasons are given.
-    unloaded : bool
-        Whether nothing touches the skin in the judged images.
+    `reference_grey` (uint8 (H, W)): mean of the references. `pitch_px`: marker pitch, for the plain tests of the skin;
+    None if a network judges the skin. `camera_px`: width of a pixel here in the camera's pixels, in which reasons are
+    given. `unloaded`: whether nothing touches the skin in the judged images.
     """
 
     def __init__(

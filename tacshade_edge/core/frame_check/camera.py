@@ -126,17 +126,9 @@ def _vertex(values: F32, at: int) -> float:
 
 @frozen
 class Look:
-    """The appearance of a sensor, prepared for comparison.
-
-    Attributes
-    ----------
-    grey : uint8 (H, W)
-    disc : Disc
-    pitch_px : float
-    points : float32 (N, 2)
-        Column and row of the tracked points.
-    level, contrast : float32 (H, W)
-        Local mean and standard deviation of the grey at each pixel.
+    """The appearance of a sensor, prepared for comparison. `grey`: uint8 (H, W). `points` (float32 (N, 2)): column and
+    row of the tracked points. `level`, `contrast` (float32 (H, W)): local mean and standard deviation of the grey at
+    each pixel.
     """
 
     grey: U8
@@ -151,21 +143,11 @@ class Look:
 class Drift:
     """The change of an image since the reference.
 
-    Attributes
-    ----------
-    still_part : float
-        Part of the pattern that moved as one piece, 0 to 1; if 0, nothing was measured and all else is neutral.
-    moved_px : float
-        Greatest movement of a point of the visible circle by shift, turn and zoom together.
-    row_px, col_px : float
-        Shift of the circle's centre.
-    turn_deg, zoom : float
-    light : float
-        Ratio of the brightness to the reference's.
-    uneven : float
-        Standard deviation of the ratio's logarithm over the disc.
-    contrast : float
-        Ratio of the contrast to the reference's, beyond the effect of the light: below 1 is blur.
+    `still_part`: part of the pattern that moved as one piece, 0 to 1; if 0, nothing was measured and all else is
+    neutral. `moved_px`: greatest movement of a point of the visible circle by shift, turn and zoom together. `row_px`,
+    `col_px`: shift of the circle's centre. `light`: ratio of the brightness to the reference's. `uneven`: standard
+    deviation of the ratio's logarithm over the disc. `contrast`: ratio of the contrast to the reference's, beyond the
+    effect of the light: below 1 is blur.
     """
 
     still_part: float = 0.0
@@ -190,15 +172,7 @@ class Drift:
 
 
 def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
-    """Prepare a reference.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-    disc : Disc
-    pitch_px : float
-        Marker pitch.
-    """
+    """Prepare a reference. `grey`: uint8 (H, W). `pitch_px`: marker pitch."""
     height, width = grey.shape
     reach, step = _RHO_MAX * disc.radius_px - _WINDOW_PITCHES * pitch_px / 2, max(_POINT_PITCHES * pitch_px, 2.0)
     offsets = np.arange(-reach, reach + 1e-6, step)
@@ -210,14 +184,7 @@ def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
 
 
 def drift(reference: Look, grey: U8) -> Drift:
-    """Compare an image with a reference, with or without contact.
-
-    Parameters
-    ----------
-    reference : Look
-    grey : uint8 (H, W)
-        Image of the reference's size.
-    """
+    """Compare an image with a reference, with or without contact. `grey`: uint8 (H, W), of the reference's size."""
     if len(reference.points) < _LEAST_POINTS or grey.shape != reference.grey.shape:
         return Drift()
     start = reference.points + _coarse_shift(reference, grey)

@@ -33,18 +33,10 @@ def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
 
     Only pixels inside the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
 
-    Parameters
-    ----------
-    white_sum : float32 (rows, cols)
-        s_w, the white pixels in the window: sums of 0 and 1, or of mean images of 0 to 255 (see `full_scale`).
-    total : float32 (rows, cols)
-        s_t, the disc's pixels in the window.
-    full_scale : float
-        255 for sums of 0 and 1; 1 for sums of 0 to 255.
-
-    Returns
-    -------
-    float32 (rows, cols), 0 to 255; 0 where the window holds no pixel of the disc.
+    `white_sum` (float32 (rows, cols)): s_w, the white pixels in the window: sums of 0 and 1, or of mean images of 0 to
+    255 (see `full_scale`). `total` (float32 (rows, cols)): s_t, the disc's pixels in the window. `full_scale`: 255 for
+    sums of 0 and 1; 1 for sums of 0 to 255. Returns float32 (rows, cols), 0 to 255; 0 where the window holds no pixel
+    of the disc.
     """
     g: F32 = (np.float32(full_scale) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
     return g
@@ -98,17 +90,8 @@ def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chamboll
 
     The mean of the inside fills the outside of the disc, so that its rim is not an edge of the image.
 
-    Parameters
-    ----------
-    g : float32 (rows, cols), 0 to 255
-    inside : bool (rows, cols)
-    weight : float
-        In units of g/255; 0 leaves the map unchanged.
-    denoise : callable
-
-    Returns
-    -------
-    float32 (rows, cols), 0 to 255.
+    `g`: float32 (rows, cols), 0 to 255. `inside`: bool (rows, cols). `weight`: in units of g/255; 0 leaves the map
+    unchanged. Returns float32 (rows, cols), 0 to 255.
     """
     if weight == 0 or not inside.any():
         return g
@@ -118,11 +101,8 @@ def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chamboll
 
 
 def grey_difference(g: F32, g0: F32, inside: Bool, sign: float) -> F32:
-    """Eq. 9, g_d = g - g0, signed so that contact is positive (`sign` -1 for a sensor that darkens).
-
-    Returns
-    -------
-    float32 (rows, cols), -255 to 255; 0 outside the disc.
+    """Eq. 9, g_d = g - g0, signed so that contact is positive (`sign` -1 for a sensor that darkens). Returns float32
+    (rows, cols), -255 to 255; 0 outside the disc.
     """
     difference: F32 = np.where(inside, np.float32(sign) * (g - g0), np.float32(0))
     return difference
@@ -145,8 +125,6 @@ def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
 
     Apply the gate first: without contact this stretches noise to the full range.
 
-    Returns
-    -------
-    float32 (rows, cols), 0 to 1; 0 outside the disc.
+    Returns float32 (rows, cols), 0 to 1; 0 outside the disc.
     """
     return normalise(normalise(g_d, inside) * g0, inside)

@@ -31,23 +31,9 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 def decode_image(data: bytes, flags: int) -> U8:
-    """Decode a PNG, JPEG, BMP, TIFF, PGM, PPM or WebP.
-
-    Parameters
-    ----------
-    data : bytes
-    flags : int
-        OpenCV's flags, with ``IMREAD_IGNORE_ORIENTATION``.
-
-    Returns
-    -------
-    uint8 (H, W) grey or (H, W, 3) BGR
-        At most `SIDE_MAX_PX` per side and `PIXELS_MAX` in all.
-
-    Raises
-    ------
-    DecodeError
-        Not an image, too large, cut short or visibly damaged; damage in the middle can pass.
+    """Decode a PNG, JPEG, BMP, TIFF, PGM, PPM or WebP. `flags`: OpenCV's flags, with ``IMREAD_IGNORE_ORIENTATION``.
+    Returns (uint8 (H, W) grey or (H, W, 3) BGR): at most `SIDE_MAX_PX` per side and `PIXELS_MAX` in all. Raises
+    DecodeError (not an image, too large, cut short or visibly damaged; damage in the middle can pass).
     """
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:

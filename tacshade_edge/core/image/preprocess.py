@@ -48,16 +48,8 @@ GLARE_HALO_PITCHES = 1.0
 
 @frozen
 class Preprocessed:
-    """An image of the disc's window without glare, whose place shows the reference.
-
-    Attributes
-    ----------
-    pixels : uint8 (rows, cols)
-        The binarised image, 0 and 1.
-    white : IntegralImage
-        Its integral.
-    unseen : float
-        Part of the disc under glare, 0 to 1.
+    """An image of the disc's window without glare, whose place shows the reference. `pixels` (uint8 (rows, cols)): the
+    binarised image, 0 and 1. `white`: its integral. `unseen`: part of the disc under glare, 0 to 1.
     """
 
     pixels: U8
@@ -68,39 +60,14 @@ class Preprocessed:
 class Preprocessor:
     """Prepares images of one sensor for every solver.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    profile : Profile
-        Provides resolution, stride and window; its solver does not matter.
-
-    Attributes
-    ----------
-    camera : Calibration
-        The calibration as given, in the camera's pixels.
-    calibration : Calibration
-        The calibration in working pixels: the camera's, or twice as wide if the profile halves images.
-    camera_px : int
-        Width of a working pixel in the camera's pixels.
-    profile : Profile
-    window : Window
-        The disc's, in working pixels.
-    sign : float
-        -1 for a sensor that darkens in contact, else 1.
-    integrator : Integrator
-        Computes `Preprocessed.white`.
-    grid : Grid
-        Grid of eq. 1, in working pixels.
-    rays : DiscRays
-        Rays of `grid`.
-    voting : bool (rows, cols)
-        Cells with most of their window in the disc.
-    reference_g : float32 (rows, cols), 0 to 255
-        Eq. 1 of the unloaded skin.
-    reference_white : IntegralImage
-        Integral of the unloaded skin's `Calibration.reference_white`, 0 to 255.
-    cell_mm2 : float
-        Area of skin that a cell of `grid` covers.
+    `profile`: provides resolution, stride and window; its solver does not matter. `camera`: the calibration as given,
+    in the camera's pixels. `calibration`: the calibration in working pixels: the camera's, or twice as wide if the
+    profile halves images. `camera_px`: width of a working pixel in the camera's pixels. `window`: the disc's, in
+    working pixels. `sign`: -1 for a sensor that darkens in contact, else 1. `integrator`: computes
+    `Preprocessed.white`. `grid`: grid of eq. 1, in working pixels. `rays`: rays of `grid`. `voting` (bool (rows,
+    cols)): cells with most of their window in the disc. `reference_g` (float32 (rows, cols), 0 to 255): eq. 1 of the
+    unloaded skin. `reference_white`: integral of the unloaded skin's `Calibration.reference_white`, 0 to 255.
+    `cell_mm2`: area of skin that a cell of `grid` covers.
     """
 
     def __init__(self, calibration: Calibration, profile: Profile) -> None:
@@ -179,15 +146,8 @@ class Preprocessor:
 
 @frozen
 class GreyMaps:
-    """The maps of one image on one grid.
-
-    Attributes
-    ----------
-    g, g0 : float32 (rows, cols), 0 to 255
-        White ratio of the image and of the unloaded skin, denoised.
-    g_d : float32 (rows, cols)
-        Eq. 9, positive in contact.
-    inside : bool (rows, cols)
+    """The maps of one image on one grid. `g`, `g0` (float32 (rows, cols), 0 to 255): white ratio of the image and of
+    the unloaded skin, denoised. `g_d` (float32 (rows, cols)): eq. 9, positive in contact. `inside`: bool (rows, cols).
     """
 
     g: F32
@@ -271,13 +231,8 @@ def halved_calibration(calibration: Calibration) -> Calibration:
 
 
 class GlareFinder:
-    """Finds specular spots that the reference does not have: they and their halo hide the skin.
-
-    Parameters
-    ----------
-    reference_grey, mask : uint8 (H, W)
-        Mean reference image and the disc (0 or 1) in its window.
-    pitch_px : float
+    """Finds specular spots that the reference does not have: they and their halo hide the skin. `reference_grey`,
+    `mask` (uint8 (H, W)): mean reference image and the disc (0 or 1) in its window.
     """
 
     def __init__(self, reference_grey: U8, mask: U8, pitch_px: float) -> None:

@@ -42,13 +42,7 @@ class Binariser:
 
     The adaptive threshold is Q8.0 and within 2 levels of its exact value: two halvings and the interpolation round.
 
-    Parameters
-    ----------
-    mask : uint8 (H, W)
-        1 inside the disc, 0 outside.
-    method : str
-    pitch_px : float
-        Marker pitch.
+    `mask` (uint8 (H, W)): 1 inside the disc, 0 outside. `pitch_px`: marker pitch.
     """
 
     def __init__(self, mask: U8, method: Binarisation, pitch_px: float) -> None:
@@ -65,12 +59,8 @@ class Binariser:
         self._blocks = cv2.countNonZero(self._whole)
 
     def __call__(self, grey: U8) -> U8:
-        """Binarise an image of the mask's shape.
-
-        Returns
-        -------
-        uint8 (H, W)
-            1 where white, 0 outside the disc; the next call overwrites it.
+        """Binarise an image of the mask's shape. Returns (uint8 (H, W)): 1 where white, 0 outside the disc; the next
+        call overwrites it.
         """
         rows, cols = self._shape
         cv2.bitwise_and(grey, self._opaque[:rows, :cols], dst=self._masked[:rows, :cols])
@@ -168,24 +158,15 @@ class IntegralImage:
 
     Exact: whole numbers in int32 (float64 if the image is too large for that).
 
-    Attributes
-    ----------
-    total : int32 or float64 (rows + 2 margin + 1, cols + 2 margin + 1)
-        Element (i, j) is the sum over the rows before i and the columns before j.
+    `total` (int32 or float64 (rows + 2 margin + 1, cols + 2 margin + 1)): element (i, j) is the sum over the rows
+    before i and the columns before j.
     """
 
     total: Total
 
 
 class Integrator:
-    """Makes the integral images of a window's pixels.
-
-    Parameters
-    ----------
-    window : Window
-    margin_px : int
-        Greatest reach of a box beyond the window.
-    """
+    """Makes the integral images of a window's pixels. `margin_px`: greatest reach of a box beyond the window."""
 
     def __init__(self, window: Window, margin_px: int) -> None:
         self.window = window
@@ -198,13 +179,8 @@ class Integrator:
         return np.empty((rows + 1, cols + 1), np.int32)
 
     def integrate(self, values: U8, space: I32 | None = None) -> IntegralImage:
-        """Integrate an image of the window.
-
-        Parameters
-        ----------
-        values : uint8 (rows, cols)
-        space : int32, optional
-            Buffer from `space` that the result uses if it fits, valid until `space` is used again.
+        """Integrate an image of the window. `values`: uint8 (rows, cols). `space`: buffer from `space` that the result
+        uses if it fits, valid until `space` is used again.
         """
         rows, cols, m = self.window.rows, self.window.cols, self.margin_px
         self._values[m : m + rows, m : m + cols] = values
@@ -215,13 +191,7 @@ class Integrator:
 
 class BoxSums:
     """Sums integral images over boxes of odd side around the cells of a grid of whole pixels inside the window.
-
-    Parameters
-    ----------
-    integrator : Integrator
-        Source of the integral images; its margin is more than half the side.
-    grid : Grid
-    side_px : int
+    `integrator`: source of the integral images; its margin is more than half the side.
     """
 
     def __init__(self, integrator: Integrator, grid: Grid, side_px: int) -> None:
@@ -245,14 +215,8 @@ class BoxSums:
 
 
 class CellMeans:
-    """Averages over cells whose edges may cut pixels, which count as squares of constant value.
-
-    Parameters
-    ----------
-    integrator : Integrator
-        Source of the integral images.
-    grid : Grid
-        Its cells are as wide as its step.
+    """Averages over cells whose edges may cut pixels, which count as squares of constant value. `integrator`: source of
+    the integral images. `grid`: its cells are as wide as its step.
     """
 
     def __init__(self, integrator: Integrator, grid: Grid) -> None:
@@ -271,12 +235,8 @@ class CellMeans:
 
 
 class _Edges:
-    """Positions of cell edges along an axis of an integral image: `part` of the way from line `low` to the next.
-
-    Parameters
-    ----------
-    low : int32 (n + 1,)
-    part : float32 (n + 1,)
+    """Positions of cell edges along an axis of an integral image: `part` of the way from line `low` to the next. `low`:
+    int32 (n + 1,). `part`: float32 (n + 1,).
     """
 
     def __init__(self, low: I32, part: F32) -> None:

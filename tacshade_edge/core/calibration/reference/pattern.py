@@ -58,14 +58,7 @@ def find_disc(grey: U8) -> Disc:
     centre and radius to the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE Trans. PAMI
     15, 1993). The markers themselves, if `marker_field` can find them one by one, must fill the disc.
 
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-
-    Raises
-    ------
-    ConfigError
-        The image has no circle with a marker pattern.
+    `grey`: uint8 (H, W). Raises ConfigError (the image has no circle with a marker pattern).
     """
     if min(grey.shape) < _LEAST_PX:
         found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
@@ -225,14 +218,9 @@ def _width(disc: Disc) -> int:
 
 
 def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
-    """Squared variation along the angle at every radius, without its slow part.
-
-    Returns
-    -------
-    strength : float64 (rays, radii)
-        In squared grey levels; 0 outside the image.
-    seen : bool (rays, radii)
-        Whether the sample lies inside the image.
+    """Squared variation along the angle at every radius, without its slow part. Returns `strength` (float64 (rays,
+    radii)): in squared grey levels; 0 outside the image. Returns `seen` (bool (rays, radii)): whether the sample lies
+    inside the image.
     """
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
@@ -277,12 +265,8 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
 
 
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
-    """Distance between neighbouring pin tips in the middle of the disc, px.
-
-    Raises
-    ------
-    ConfigError
-        The disc has no periodic pattern.
+    """Distance between neighbouring pin tips in the middle of the disc, px. Raises ConfigError (the disc has no
+    periodic pattern).
     """
     try:
         return _spectral_pitch_px(grey, disc)

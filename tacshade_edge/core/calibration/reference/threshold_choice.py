@@ -20,14 +20,7 @@ _SHOWN_PART = 0.85
 
 def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
     """Choose the local mean, or Otsu's level if the local mean makes specks of noise and Otsu's shows the markers.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-        Image of the unloaded skin.
-    disc : Disc
-    pitch_px : float
-        Marker pitch.
+    `grey` (uint8 (H, W)): image of the unloaded skin. `pitch_px`: marker pitch.
     """
     field = find_markers(grey)
     if field is None:

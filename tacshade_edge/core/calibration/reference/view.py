@@ -33,15 +33,10 @@ class Pattern:
 class View:
     """How well an image shows the pattern.
 
-    Attributes
-    ----------
-    focus : float
-        Fine over coarse detail: RMS of the Laplacian over that of the pattern, whatever the light. Greatest when the
-        lens is sharpest (an energy of Laplacian, Subbarao, Choi and Nikzad 1993); not comparable between sensors.
-    contrast_grey : float
-        Contrast of the markers: 5th to 95th percentile in the disc, without slow variation of light; grey levels.
-    saturated_part : float
-        Part of the disc at 250 grey levels or above.
+    `focus`: fine over coarse detail: RMS of the Laplacian over that of the pattern, whatever the light. Greatest when
+    the lens is sharpest (an energy of Laplacian, Subbarao, Choi and Nikzad 1993); not comparable between sensors.
+    `contrast_grey`: contrast of the markers: 5th to 95th percentile in the disc, without slow variation of light; grey
+    levels. `saturated_part`: part of the disc at 250 grey levels or above.
     """
 
     focus: float
@@ -59,18 +54,8 @@ class View:
 
 
 def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
-    """Find the disc and the pitch.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-    stated : Disc, optional
-        The circle, if the user stated it.
-
-    Raises
-    ------
-    ConfigError
-        The image shows no circle, or no pattern in it.
+    """Find the disc and the pitch. `grey`: uint8 (H, W). `stated`: the circle, if the user stated it. Raises
+    ConfigError (the image shows no circle, or no pattern in it).
     """
     if stated is not None:
         return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
@@ -88,13 +73,8 @@ def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
 
 
 def view(grey: U8, pattern: Pattern) -> View:
-    """Measure how well an image shows the pattern.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-    pattern : Pattern
-        Pattern of this image or an earlier one.
+    """Measure how well an image shows the pattern. `grey`: uint8 (H, W). `pattern`: pattern of this image or an earlier
+    one.
     """
     disc, (height, width) = pattern.disc, grey.shape
     inside = disc_mask(height, width, Disc(disc.row_c, disc.col_c, _INNER * disc.radius_px))
