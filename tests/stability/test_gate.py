@@ -11,7 +11,6 @@ from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, s
 from support.extremes import constant, ramp
 from support.soundness import sound_step
 
-from tacshade_edge.core.contact.gate import GATE_PART
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
@@ -65,7 +64,7 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
 def test_the_cameras_noise_is_far_below_the_gate(name: str) -> None:
     one = made("fast", name)
     most = max(one._gate.changed_part(one._seen.preprocess(one._seen.grey(image))) for image in untouched(name))
-    assert 2 * most < GATE_PART
+    assert 2 * most < one._gate_part
     print(f"figure: pixels changed without contact, {name}: {most:.3f} at most, the gate at {one._gate_part:.3f}")
 
 
@@ -98,4 +97,4 @@ def test_a_noisier_reference_never_opens_the_gate_earlier(profile: str, noise_gr
     for pressed_px in (0.0, 4.0, 8.0, 16.0):
         image = marked(120, 160, quiet.calibration.pitch_px, disc, pressed_px=pressed_px)
         assert sound_step(quiet, image).contact >= sound_step(noisy, image).contact
-    assert sound_step(noisy, image).contact == (noise_grey < 50)
+    assert sound_step(noisy, image).contact == (noise_grey < (5 if profile == "paper" else 50))

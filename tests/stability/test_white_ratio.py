@@ -86,7 +86,7 @@ def test_every_extreme_image_has_ratios(profile: str) -> None:
     cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(DISC))
     for image in EXTREME_IMAGES.values():
         found = preprocessor.preprocess(np.ascontiguousarray(image(ROWS, COLS)))
-        g, cells = found.g, cells_of.means(found.white)
+        g, cells = preprocessor.ratio(found.white), cells_of.means(found.white)
         assert 0 <= found.unseen <= 1
         assert np.isfinite(g).all()
         assert (g >= 0).all()

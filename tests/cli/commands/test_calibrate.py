@@ -207,7 +207,7 @@ def test_rezero_refuses_in_one_line(alone: list[str], tmp_path: Path, capsys: py
     old, out = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, calibrated())
     images = {
-        "the image moved by 5.0 px": camera_faults.shift(unloaded(), 0, 5),
+        "the camera has moved by 5.0 px": camera_faults.shift(unloaded(), 0, 5),
         "seems pressed": pressed("cube", 3.0).image,
         "size: found 320x200 px": unloaded()[:200],
         "image.png: black": unloaded() * 0,

@@ -38,7 +38,7 @@ ASSUMED_NOISE_GREY = 1.0
 """Noise of g, RMS in grey levels, assumed for fewer references than `NOISE_REFERENCES`."""
 NOISE_REFERENCES = 3
 # A reference of which more has changed against the mean of all is pressed: a tip that sways reaches 0.22 (raw TacTips).
-LOADED_PART = 0.25
+LOADED_PART = 0.23
 # The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
 

@@ -122,7 +122,7 @@ def moving(image: U8, part: float) -> U8:
     [
         (speckled(0.35), {ReasonCode.PATCH_CHANGED}),
         (speckled(1.5), {ReasonCode.PATCH_CHANGED}),
-        (torn, {ReasonCode.PATCH_CHANGED, ReasonCode.TORN, ReasonCode.CAMERA_SHIFT}),
+        (torn, {ReasonCode.PATCH_CHANGED, ReasonCode.TORN, ReasonCode.CAMERA_SHIFT, ReasonCode.SURROUND}),
         (lambda image, part: camera_faults.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
         (lambda image, part: camera_faults.gain(image, 1 - 0.5 * part), {ReasonCode.LIGHT_DRIFT}),
         (moving, {ReasonCode.CAMERA_SHIFT, ReasonCode.PATCH_CHANGED}),
