@@ -63,7 +63,7 @@ class ContactGate:
 
     def _windows(self, pixels: U8) -> F32:
         """How much the pixels of each voting cell's window differ from the reference, 0 to 255."""
-        changed = cv2.absdiff(cv2.multiply(pixels, 255), self._reference)
+        changed = cv2.absdiff(pixels * np.uint8(255), self._reference)  # OpenCV takes four rows of one for a scalar
         preprocessor = self._preprocessor
         return preprocessor.voted(preprocessor.ratio(preprocessor.integrator.integrate(changed))) / np.float32(255)
 
