@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.handed_in import PAINTED
 from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.doctor import Finding
@@ -16,6 +19,7 @@ from tacshade_edge.doctor.camera import Captured, capture, check_device, check_f
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.factories import sources
 from tacshade_edge.settings import V4l2
+from tools.testbed.patience import patience, wait_until
 
 MACHINE = Machine()
 GOOD = V4l2(device=NODE, width_px=640, height_px=480, fps=25, fourcc="YUYV")
@@ -115,6 +119,26 @@ def test_held_by_another_program() -> None:
         other.kill()
 
 
+def test_held_by_the_daemon(tmp_path: Path) -> None:
+    config = tmp_path / "settings.yaml"
+    source = f"{{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}"
+    config.write_text(f"calibration: {PAINTED}/calibration.npz\nsource: {source}\nmqtt: {{host: 127.0.0.1, port: 9}}\n")
+    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stderr is not None
+        for line in daemon.stderr:
+            if "source streaming" in line:
+                break
+        wait_until(lambda: [held.pid for held in MACHINE.holders(NODE)] == [daemon.pid], 10, "it has the camera")
+        found = MACHINE.daemon()
+        assert found is not None
+        assert found.pid == daemon.pid
+        _, (finding,) = frames(GOOD, "online, 25.0 frames/s")
+        assert finding.state == "warning"
+        assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"
+        daemon.kill()
+
+
 def test_unplugged() -> None:
     keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
     control("disconnect=1")
@@ -129,3 +153,17 @@ def test_a_camera_that_gives_no_frame() -> None:
     _, (finding,) = frames(GOOD)
     assert finding.state == "fault"
     assert finding.found.startswith("no frame within ")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    unload_driver()
+    config = tmp_path / "settings.yaml"
+    config.write_text("mqtt: {host: 127.0.0.1, port: 9}\n")
+    command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", str(config), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(20), check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    found = {each["check"]: each for each in json.loads(done.stdout)}
+    assert found["camera"]["found"] == f"{NODE}: no such device"
+    assert found["camera"]["fix"].startswith("plug a camera in")
+    assert found["serial"]["found"].startswith("/dev/ttyS0: not checked"), "these settings have no robot"
+    assert (found["broker"]["state"], found["calibration"]["state"]) == ("fault", "warning")
