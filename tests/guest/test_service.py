@@ -34,9 +34,7 @@ STATE = Path("/var/lib/tacshade-edge")
 GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
 # The name that 99-tacshade.rules gives to the driver's camera.
 CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
-GOOD = (
-    f"profile: fast\nsource: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
-)
+GOOD = f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
 WATCHDOG_S, MEMORY_MAX = 10.0, 150 * 2**20
 START_S = 10
 STOP_S = 2.0
@@ -179,7 +177,7 @@ def a_stalled_camera_is_left_alone() -> None:
 
 def a_bad_file_changes_nothing() -> None:
     before = show()
-    CONFIG.write_text("colour: red\n" + GOOD)
+    CONFIG.write_text("profile: slow\n" + GOOD)
     os.kill(int(before["MainPID"]), signal.SIGHUP)
     in_status("rejected the reload", 20)
     CONFIG.write_text(GOOD)
