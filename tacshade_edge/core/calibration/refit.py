@@ -4,8 +4,8 @@ A network trained on many sensors is off on a given one by a nearly constant fac
 the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
 (P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows, and as shapes differ: a small
 factor says more about the shape than about the sensor, so it is nearly dropped, and a large one stays. Its own square
-is the prior's variance (empirical Bayes). Balls show little more:
-corrections by depth and place fit the balls better, but not other shapes (tools/training/README.md).
+is the prior's variance (empirical Bayes). Balls show little more: corrections by depth and place fit the balls better,
+but not other shapes (tools/training/README.md).
 
 The error scale is a sensor's factor on σ (`core.depth.sigma`). q is the quantile of errors, in σ of scale 1, that the
 90 % interval must hold, over presses left out of the fit, as in split conformal prediction (Vovk, Gammerman and Shafer,
