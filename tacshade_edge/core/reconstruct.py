@@ -94,6 +94,9 @@ class Reconstructor:
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
         self._white_space = seen.integrator.space()
+        self._own_white_space = (
+            self._white_space if seen is self._preprocessor else self._preprocessor.integrator.space()
+        )
 
     @overload
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...
@@ -133,7 +136,8 @@ class Reconstructor:
 
         features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
         if self._preprocessor is not self._seen:
-            preprocessed = self._preprocessor.preprocess(self._preprocessor.grey(frame.image, self._grey_space))
+            own = self._preprocessor.grey(frame.image, self._grey_space)
+            preprocessed = self._preprocessor.preprocess(own, self._own_white_space)
         depth = self._solver.solve(preprocessed, mark, features)
         reason = first_reason(skin.map_measured(depth.untrusted_logit, self.rays.inside))
         degraded = degraded or skin.degraded_reason(depth.untrusted, self.rays.inside)

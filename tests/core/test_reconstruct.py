@@ -433,7 +433,7 @@ def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> N
             assert result.sigma_mm is not None
             parts = (*parts, result.shear_mm, result.sigma_mm)
             own = sum(part.nbytes for part in parts) if result.contact else 0
-            assert peak - own < (2 if profile == "fast" else 5) * IMAGE_BYTES  # the gate prepares its own picture
+            assert peak - own < (1 if profile == "fast" else 2) * IMAGE_BYTES  # `accurate` prepares two pictures
         del result, parts
         before, _ = tracemalloc.get_traced_memory()
         for _ in range(10):

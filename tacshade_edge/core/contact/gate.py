@@ -46,6 +46,7 @@ class ContactGate:
         self._preprocessor = preprocessor
         self._reference: U8 = preprocessor.window.cut(preprocessor.calibration.reference_white)
         at_rest = preprocessor.preprocess(np.asarray(preprocessor.calibration.reference_grey))
+        self._space = preprocessor.integrator.space()
         self._own: F32 = self._windows(at_rest.pixels)
         noise = preprocessor.calibration.noise_grey / 255
         self.least_part = GATE_PART + GATE_NOISE * noise
@@ -65,7 +66,9 @@ class ContactGate:
         """How much the pixels of each voting cell's window differ from the reference, 0 to 255."""
         changed = cv2.absdiff(pixels * np.uint8(255), self._reference)  # OpenCV takes four rows of one for a scalar
         preprocessor = self._preprocessor
-        return preprocessor.voted(preprocessor.ratio(preprocessor.integrator.integrate(changed))) / np.float32(255)
+        return preprocessor.voted(
+            preprocessor.ratio(preprocessor.integrator.integrate(changed, self._space))
+        ) / np.float32(255)
 
 
 def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocessor:
