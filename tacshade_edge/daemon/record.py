@@ -353,6 +353,8 @@ class LiveRecorder:
     def end(self, ending: Reason) -> None:
         """End the present recording, if there is one; `poll` reports when it is written."""
         self.tap = None
+        if ending is DAEMON_STOPPED:
+            self._pre_roll_ns = 0  # `poll` starts no thread again
         if self._job is not None:
             self._job.end(ending)
 

@@ -443,7 +443,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
 
         # The next has the new reference beside it, and a stop that is answered when all is written.
         live.ask("record", action="start", seconds=600, name="two")
-        wait_until(lambda: recorded()["frames"] > 5, 10, "frames")
+        wait_until(lambda: recorded()["state"] == "recording" and recorded()["frames"] > 5, 10, "frames")
         stopped = live.ask("record", action="stop")["result"]
         assert (stopped["ending"], stopped["ending_code"]) == ("stopped", "stopped")
         assert len(read_table(live.folder / "recs" / "two" / "frames.csv")) == stopped["frames"]

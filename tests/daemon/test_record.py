@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.daemon import record
-from tacshade_edge.daemon.record import STOPPED, TIME, ByteQueue, LiveRecorder, Recorded
+from tacshade_edge.daemon.record import DAEMON_STOPPED, STOPPED, TIME, ByteQueue, LiveRecorder, Recorded
 from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -318,7 +318,10 @@ def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(live: Live, m
     assert live.poll_until_ended().dropped == 0
     assert written(live.folder) == [frame.t_ns for frame in given[6:]]
     assert live.recorder.counts()["pre_roll_dropped"] == 6
-    live.recorder.end(STOPPED)
+    live.recorder.end(DAEMON_STOPPED)
+    assert live.recorder.poll() is None  # it keeps nothing for a next recording
+    live.recorder.join(patience(20))
+    assert not any(thread.name == "record" for thread in threading.enumerate())
 
 
 def test_frames_of_another_reference_are_not_before(live: Live, calibration: Calibration) -> None:
