@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
 
 from tacshade_edge.core.image.image_bytes import decode_image
-from tacshade_edge.errors import DecodeError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
 from tacshade_edge.types import U8
@@ -30,6 +31,21 @@ def read_image(path: Path) -> U8:
         return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except DecodeError as error:
         raise DecodeError(f"{shown(path)}: {error}") from None
+
+
+def images_in(given: Iterable[Path]) -> list[Path]:
+    """The given images, and for a folder those in it, by name. Raises ConfigError for a folder without any."""
+    images: list[Path] = []
+    for path in given:
+        if path.is_dir():
+            found = sorted(each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and each.is_file())
+            if not found:
+                expected = f"expected at least one file of {', '.join(sorted(SUFFIXES))}"
+                raise ConfigError(f"{shown(path)}: found no image, {expected}")
+            images += found
+        else:
+            images.append(path)
+    return images
 
 
 def png(image: U8) -> bytes:

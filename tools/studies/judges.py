@@ -33,7 +33,7 @@ from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, PressedSensor, SensorName, reconstructor
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import U8, Calibration, Frame, Polarity
+from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
 from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact
 from tools.testbed.simulator.families import working_sensors
 
@@ -54,6 +54,11 @@ class Seen:
     contact: bool
     depth_mm: float
     found_mm: float
+
+    @property
+    def overruled(self) -> bool:
+        """Whether the gate or a judge says no where the network finds a contact."""
+        return not self.contact and self.found_mm >= LEAST_MM
 
 
 def press_of(sensor: PressedSensor, rng: Rng) -> Press:
@@ -166,9 +171,8 @@ def calibrated(sensor: PressedSensor) -> Calibration:
     return calibrate(stated, [sensor.frame((), k).image for k in range(REFERENCES)]).calibration
 
 
-def seen(one: Reconstructor, image: U8) -> Seen:
-    """What a profile answers, and what its network finds if it is asked."""
-    made = one.step(Frame(0, 0, 0, image))
+def seen(one: Reconstructor, image: U8, made: Reconstruction) -> Seen:
+    """What a profile answered, and what its network finds if it is asked."""
     found_mm = made.depth_max_mm
     if not made.contact and one.profile.network is not None:
         depth, inside = one.depth(image), one.rays.inside
@@ -194,7 +198,7 @@ def row(what: str, profile: str, some: Sequence[Seen]) -> tuple[str, ...]:
         str(sum(each.contact for each in usable)),
         str(len(clean)),
         f"{max((each.depth_mm for each in usable), default=0):.2f}",
-        str(sum(not each.contact and each.found_mm >= LEAST_MM for each in some)),
+        str(sum(each.overruled for each in some)),
     )
 
 
@@ -227,7 +231,7 @@ def main() -> int:
         made = {profile: reconstructor(calibrated(sensor), profile) for profile in args.profile}
         for what, image in frames(sensor, name.seed or 0, args.frames):
             for profile, one in made.items():
-                rows.setdefault((what, profile), []).append(seen(one, image))
+                rows.setdefault((what, profile), []).append(seen(one, image, one.step(Frame(0, 0, 0, image))))
     print(markdown(COLUMNS, [row(what, profile, some) for (what, profile), some in rows.items()]))
     return 0
 

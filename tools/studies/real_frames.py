@@ -6,11 +6,15 @@
     git clone https://github.com/BioMorphic-Intelligence-Lab/aerial_tactile_servoing out/real/aerial_tactile_servoing
     git clone https://github.com/marselap/tactip-cnn-bayes out/real/tactip-cnn-bayes
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
+    git clone https://github.com/cavallimarko/TacTipFlexSim out/real/TacTipFlexSim
+    git clone https://github.com/robot-dexterity/tactile-manibot out/real/tactile-manibot
     .venv/bin/python -m tools.studies.real_frames raw out/real/aerial_tactile_servoing
 
 The sets have no licence, or the GPL: they stay outside the tree. `raw` are whole pictures of a camera with an LED ring,
 `binary` near-binary ones with few pins, `plates` thresholded ones of plates that a robot tilted and sheared (of that
-set `cr_tactip` alone). docs/results/real-*.md are what it prints.
+set `cr_tactip` alone), `flat` flat presses of stated depth, `tilted` raw pictures of tilted and sheared plates whose
+rim the frame cuts. A network is overruled where it finds `LEAST_MM` or more and the answer is another.
+docs/results/real-frames.md is what it prints.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import csv
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -34,7 +38,8 @@ from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import Calibration, Disc, Frame
+from tools.studies.judges import LEAST_MM, Seen, seen
 
 PROFILES = ("fast", "balanced", "accurate")
 SENSOR = Sensor(skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark")
@@ -43,6 +48,10 @@ REFERENCES_EACH = 2
 """Number of free frames at a folder's start that are tried as references."""
 OTHER_LIGHT = "REF_lightson_pointingup"
 PLATES = "data/cr_tactip/surface_3d/val_data"
+TILTED = "tactile_data/ur5_tacpad_1/surface_zRxy_shear/train"
+TILTED_CIRCLE = Disc(112, 150, 150)
+NEARLY_FREE_MM = 0.117
+"""Stated depth below which the plates of `tilted` hardly touch: 37 frames."""
 PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, 4002 labels)"
 
 
@@ -96,11 +105,37 @@ def binary_frames(clone: Path) -> list[RealFrame]:
     return found([RealFrame(path, None, {}) for path in paths], clone, "dataset-image/*/*/*.png")
 
 
+def flat_frames(clone: Path) -> list[RealFrame]:
+    """Every picture of flat presses; the last number of a name is the stated depth, 0 without one."""
+    folder = "CNNDepthPrediction/DatasetReal/FlatR100V0"
+    frames = []
+    for path in sorted((clone / folder).glob("*.png")):
+        depth_mm = float(path.stem.rpartition("_")[2])
+        frames.append(RealFrame(path, not depth_mm, {"depth_mm": depth_mm} if depth_mm else {}))
+    return found(frames, clone, f"{folder}/*.png")
+
+
+def tilted_frames(clone: Path) -> list[RealFrame]:
+    """Every raw picture of one sensor on tilted and sheared plates."""
+    table = clone / TILTED / "targets.csv"
+    rows = rows_of(table) if table.exists() else []
+    frames = []
+    for row in rows:
+        known = labels_of(row)
+        free = known["depth_mm"] < NEARLY_FREE_MM
+        frames.append(RealFrame(table.parent / "sensor_images" / row["sensor_image"], free, known))
+    frames.sort(key=lambda frame: frame.known["depth_mm"])
+    return found(frames, clone, f"{TILTED}/targets.csv")
+
+
 SETS: dict[str, Callable[[Path], list[RealFrame]]] = {
     "raw": raw_frames,
     "binary": binary_frames,
     "plates": plate_frames,
+    "flat": flat_frames,
+    "tilted": tilted_frames,
 }
+SENSORS = {"tilted": replace(SENSOR, visible_circle=TILTED_CIRCLE)}
 
 
 def found(frames: list[RealFrame], clone: Path, expected: str) -> list[RealFrame]:
@@ -151,22 +186,22 @@ def reference_candidates(frames: Sequence[RealFrame]) -> list[Path]:
     return [some[int(np.abs(pictures - pictures.mean(axis=0)).mean(axis=(1, 2)).argmin())]]
 
 
-def calibrated_from(path: Path) -> tuple[Calibration | None, str]:
+def calibrated_from(sensor: Sensor, path: Path) -> tuple[Calibration | None, str]:
     """A calibration without presses, or why there is none."""
     try:
-        return calibrate(SENSOR, [read_image(path)]).calibration, ""
+        return calibrate(sensor, [read_image(path)]).calibration, ""
     except ConfigError as error:
         return None, str(error)
 
 
-def forced(paths: Sequence[Path]) -> Calibration:
+def forced(sensor: Sensor, paths: Sequence[Path]) -> Calibration:
     """From the first that works when it may be loaded. Raises ConfigError with the last one's reason."""
     for path in paths[:-1]:
         try:
-            return calibrate(SENSOR, [read_image(path)], allow_loaded_reference=True).calibration
+            return calibrate(sensor, [read_image(path)], allow_loaded_reference=True).calibration
         except ConfigError:
             continue
-    return calibrate(SENSOR, [read_image(paths[-1])], allow_loaded_reference=True).calibration
+    return calibrate(sensor, [read_image(paths[-1])], allow_loaded_reference=True).calibration
 
 
 def counted(reasons: Iterable[str]) -> str:
@@ -174,17 +209,22 @@ def counted(reasons: Iterable[str]) -> str:
     return ", ".join(f"{reason} {count}" for reason, count in Counter(reasons).most_common()) or "-"
 
 
-def summary(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> tuple[str, ...]:
-    """One profile's counts: refused, why, false contacts on free frames, presses refused or empty."""
+def summary(frames: Sequence[RealFrame], rows: Sequence[FoundRow], all_seen: Sequence[Seen]) -> tuple[str, ...]:
+    """One profile's counts: refused, why, false contacts on free frames, presses refused or empty, those of more than
+    `LEAST_MM`, and networks overruled.
+    """
     refused = [row.refused for row in rows if row.refused]
     free = [row for frame, row in zip(frames, rows, strict=True) if frame.free]
     pressed = [row for frame, row in zip(frames, rows, strict=True) if frame.free is False]
+    deep = [row for frame, row in zip(frames, rows, strict=True) if frame.known.get("depth_mm", 0) > LEAST_MM]
     return (
         rows[0].profile,
         f"{len(refused)} of {len(rows)}",
         counted(refused),
         f"{sum(r.contact and not r.refused for r in free)} of {len(free)}" if free else "-",
         f"{sum(bool(r.refused) or not r.contact for r in pressed)} of {len(pressed)}" if pressed else "-",
+        f"{sum(bool(r.refused) or not r.contact for r in deep)} of {len(deep)}" if deep else "-",
+        f"{sum(one.overruled for one in all_seen)} of {len(all_seen)}",
     )
 
 
@@ -198,7 +238,7 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
     pairs = [
         ((row.shear_x_mm, row.shear_y_mm), (labels["shear_x_mm"], labels["shear_y_mm"]))
         for row, labels in zip(rows, known, strict=True)
-        if not row.refused and labels and np.isfinite((row.shear_x_mm, row.shear_y_mm)).all()
+        if not row.refused and "shear_x_mm" in labels and np.isfinite((row.shear_x_mm, row.shear_y_mm)).all()
     ]
     if len(pairs) > 3:
         ours, theirs = np.array(pairs).transpose(1, 2, 0)
@@ -209,26 +249,37 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
 
 def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
     """Measure a set and print its tables."""
-    candidates = reference_candidates(frames)
-    tried = [calibrated_from(path) for path in candidates]
+    candidates, sensor = reference_candidates(frames), SENSORS.get(name, SENSOR)
+    tried = [calibrated_from(sensor, path) for path in candidates]
     accepted = [calibration for calibration, _ in tried if calibration is not None]
     free = "free frames" if any(frame.free for frame in frames) else "frames (none is known to be free)"
     print(f"References: `calibrate` accepts {len(accepted)} of {len(candidates)} {free}.")
     if any(reason for _, reason in tried):
         print(f"Refused: {counted(reason.partition(':')[0] for _, reason in tried if reason)}.")
-    calibration = accepted[0] if accepted else forced(candidates)
+    calibration = accepted[0] if accepted else forced(sensor, candidates)
     if not accepted:
         print("The first is taken all the same, as by `--allow-loaded-reference`.")
     disc = calibration.geometry.disc
     print(f"Circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px.\n")
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
+    all_seen: dict[str, list[Seen]] = {profile: [] for profile in profiles}
     for frame in frames:
         image = read_image(frame.path)
         for profile, one in made.items():
-            rows[profile].append(found_row(frame.path.name, one.step(Frame(0, 0, 0, image))))
-    columns = ("profile", "refused", "why", "contacts on free frames", "presses refused or empty")
-    print(markdown(columns, [summary(frames, some) for some in rows.values()]))
+            result = one.step(Frame(0, 0, 0, image))
+            rows[profile].append(found_row(frame.path.name, result))
+            all_seen[profile].append(seen(one, image, result))
+    columns = (
+        "profile",
+        "refused",
+        "why",
+        "contacts on free frames",
+        "presses refused or empty",
+        f"of more than {LEAST_MM:g} mm",
+        "network overruled",
+    )
+    print(markdown(columns, [summary(frames, some, all_seen[profile]) for profile, some in rows.items()]))
     figures = [line for some in rows.values() for line in followed(frames, some)]
     if figures:
         print("\n" + markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures))

@@ -33,7 +33,7 @@ from tacshade_edge.inference.network import load_network
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
-from tools.studies.real_frames import PUBLISHED, forced, rows_of
+from tools.studies.real_frames import PUBLISHED, SENSOR, forced, rows_of
 
 FOLDER = "data/cr_tactip/surface_3d"
 RUNS = ("train_data", "val_data")
@@ -91,7 +91,7 @@ def seen(clone: Path, profile: str) -> Frames:
             labels.append([float(row[name]) for name in COLUMNS])
             second.append(run == RUNS[1])
     known, later = np.array(labels), np.array(second)
-    taker = Taker(forced([pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
+    taker = Taker(forced(SENSOR, [pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
     usable = np.array([taker.take(read_image(path)) is not None for path in pictures])
     features, shown = (np.zeros((len(pictures), len(one[0])), np.float32) for one in (taker.features, taker.imprints))
     features[usable], shown[usable] = taker.features, taker.imprints

@@ -1,4 +1,4 @@
-"""``tacshade-edge doctor``: finds faults of a sensor and its machine and suggests fixes."""
+"""``tacshade-edge doctor``: finds faults of a sensor and its machine and suggests fixes, or judges pictures."""
 
 from __future__ import annotations
 
@@ -6,15 +6,25 @@ import argparse
 import json
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor
+from tacshade_edge.cli.shared.options import add_config, add_option, add_profile, add_sensor
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
 from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.doctor.pictures import figures, judge_pictures
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations
 from tacshade_edge.quoting import escaped
+from tacshade_edge.quoting import shown as shown_path
+from tacshade_edge.reasons import Reason
+from tacshade_edge.settings import load
+from tacshade_edge.storage.images import images_in
+from tacshade_edge.types import Calibration
 
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 
@@ -26,14 +36,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--bundle", "FILE", "write a zip file of diagnostics that you can send when you ask for help")
     text = "with --bundle: add a picture from the camera to the zip file"
     parser.add_argument("--with-frame", action="store_true", help=text)
-    text = "print the findings as JSON: a list of {check, state, found, fix}"
+    text = "print the findings as JSON: a list of {check, state, found, fix}, or of pictures with every figure"
     parser.add_argument("--json", action="store_true", help=text)
+    add_option(parser, "--calibration", "CAL.npz", "with images: instead of the settings' calibration")
+    add_profile(parser)
+    text = "check nothing else: show which judge refuses each of these images, or those in a folder, and why"
+    add_option(parser, "images", "IMG", text, nargs="*")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; return 78 for bad settings and 1 for any other fault."""
     if args.with_frame and args.bundle is None:
         args.parser.error("--with-frame: found no --bundle FILE, expected both")
+    if args.images:
+        if args.bundle is not None:
+            args.parser.error("--bundle: found images to judge as well, expected one of the two")
+        return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
+    if args.calibration is not None:
+        args.parser.error("--calibration: found no image to judge, expected at least one")
     findings, seen = [], Seen()
     for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)
@@ -60,6 +80,30 @@ def shown(finding: Finding, *, colour: bool) -> str:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"
     line = f"{state}  {finding.check:<17}  {escaped(finding.found)}"
     return f"{line}\n{' ' * 9}-> {escaped(finding.fix)}" if finding.fix else line
+
+
+def _calibration(args: argparse.Namespace) -> Calibration:
+    if args.calibration is not None:
+        return calibrations.load(args.calibration, store=False)
+    found = calibrations.find_calibration(load(args.config, args.sensor))
+    if isinstance(found, Reason):
+        raise ConfigError(f"{found.text}; or pass --calibration CAL.npz", code=found.code)
+    return found
+
+
+def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_json: bool) -> int:
+    """Print what the judges say of each picture; return 1 if they refuse one."""
+    judged = list(judge_pictures(calibration, profile, images_in(paths)))
+    if as_json:
+        print(json.dumps([each.as_dict() for each in judged], indent=2))
+    else:
+        for each in judged:
+            named = shown_path(each.path)
+            why = f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}" if each.reason else ""
+            print(f"{'refused' if each.reason else 'passes':<8} {named}{why}")
+        print("", *figures(judged), "", sep="\n")
+        print(f"{sum(each.reason is None for each in judged)} of {len(judged)} pass")
+    return EXIT_FAILED if any(each.reason for each in judged) else EXIT_OK
 
 
 def _count(some: list[Finding], word: str) -> str:

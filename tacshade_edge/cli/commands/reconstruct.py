@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.storage.images import SUFFIXES, read_image
+from tacshade_edge.storage.images import images_in, read_image
 from tacshade_edge.storage.pictures import write_panel
 from tacshade_edge.storage.runs.run_files import summary
 from tacshade_edge.types import Frame, Reconstruction
@@ -39,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Reconstruct every image; report each unreadable or invalid one, continue, and then return 1."""
-    images, stems = _images(args.images), set[str]()
+    images, stems = images_in(args.images), set[str]()
     for path in images:
         if path.stem in stems:
             why = "the results of one would overwrite those of the other"
@@ -76,20 +75,6 @@ def run(args: argparse.Namespace) -> int:
         found = f"{measured} of {len(images)} images reconstructed, {touched} in contact"
         print(f"{args.out}: {found}, {invalid} invalid, {unreadable} unreadable")
     return 1 if invalid or unreadable else 0
-
-
-def _images(given: Sequence[Path]) -> list[Path]:
-    """Return the given images, and for a folder those in it. Raises ConfigError for a folder without any."""
-    images: list[Path] = []
-    for path in given:
-        if not path.is_dir():
-            images.append(path)
-            continue
-        found = sorted(each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and each.is_file())
-        if not found:
-            raise ConfigError(f"{path}: found no image, expected at least one in this folder")
-        images += found
-    return images
 
 
 def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:

@@ -12,10 +12,12 @@ from typing import Any
 from tacshade_edge.cli.shared.options import add_option, tell
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.studies.evaluate.own_images import images_in, read_images
+from tacshade_edge.storage.images import images_in
+from tacshade_edge.studies.evaluate.own_images import read_images
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.work import Case
 from tacshade_edge.types import Calibration
@@ -83,7 +85,9 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
 
     Raises ConfigError (no calibration, or no images) and DeviceError (the output folder cannot be made).
     """
-    calibration, paths = calibrations.load(args.calibration), images_in(args.images)
+    if not args.images.is_dir():
+        raise ConfigError(f"{args.images}: found no folder, expected one with images and their ground truth (.npz)")
+    calibration, paths = calibrations.load(args.calibration), images_in([args.images])
     make_folder(args.out)
     mistakes: list[str] = []
     report = Progress()

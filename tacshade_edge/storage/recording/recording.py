@@ -17,7 +17,7 @@ import numpy as np
 
 from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.images import SUFFIXES, read_image
+from tacshade_edge.storage.images import SUFFIXES, images_in, read_image
 from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
 from tacshade_edge.storage.recording.recording_content import wall_minus_t_ns
 from tacshade_edge.storage.tables.frame_table import FrameTable, Row, read_table, table_in
@@ -189,10 +189,7 @@ class Recording:
 def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
     """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
-        images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
-        if not images:
-            raise ConfigError(f"{path}: found no image, expected a folder of {', '.join(sorted(SUFFIXES))} files")
-        return images, None
+        return images_in([path]), None
     if not path.is_file():
         raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
     if path.suffix.lower() in SUFFIXES:

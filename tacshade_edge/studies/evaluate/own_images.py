@@ -12,8 +12,8 @@ import numpy as np
 
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.images import SUFFIXES, read_image
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.npz import read_arrays
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
@@ -23,16 +23,6 @@ from tacshade_edge.types import Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"
 _BYTES_MAX = 256 << 20
-
-
-def images_in(folder: Path) -> list[Path]:
-    """The images in a folder, by name. Raises ConfigError if it is not a folder or holds no image."""
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: found no folder, expected a folder with images and their ground truth (.npz)")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    if not found:
-        raise ConfigError(f"{folder}: found no image, expected at least one image with its ground truth (.npz)")
-    return found
 
 
 def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:

@@ -68,3 +68,41 @@ def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
 def test_how_a_finding_is_shown() -> None:
     assert shown(warning("a", "b", "c"), colour=False) == "warning  a                  b\n         -> c"
     assert shown(fault("a", "b", "c"), colour=True).startswith("\x1b[31mfault  \x1b[0m  a ")
+
+
+def test_of_pictures_it_shows_each_judge_with_its_figures_and_limits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    (tmp_path / "in").mkdir()
+    pictures = {"black": FREE * 0, "free": FREE, "small": FREE[:-20], "dim": FREE // 3}
+    for name, picture in pictures.items():
+        cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), picture)
+    (tmp_path / "in" / "cut.png").write_bytes(b"\x89PNG")
+    words = ["doctor", str(tmp_path / "in"), "--calibration", str(tmp_path / "c.npz"), "--profile", "paper"]
+    assert main(words) == EXIT_FAILED
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[:5]] == ["refused", "refused", "refused", "passes", "refused"]
+    assert lines[-1] == "1 of 5 pass"
+    assert main([*words, "--json"]) == EXIT_FAILED
+    found = {Path(each["image"]).stem: each for each in json.loads(capsys.readouterr().out)}
+    judges = {name: (each["judge"], each["reason_code"]) for name, each in found.items()}
+    assert judges == {
+        "black": ("picture", "black"),
+        "cut": ("picture", "decode"),
+        "dim": ("light", "light"),
+        "free": (None, ""),
+        "small": ("picture", "size"),
+    }
+    figures = {each["what"]: each for each in found["dim"]["figures"]}
+    assert figures["light of the brightest"]["found"] < figures["light of the brightest"]["least"]
+    assert figures["light of the brightest"]["most"] is None
+    assert {each["judge"] for each in found["free"]["figures"]} == {"picture", "light", "camera", "skin"}
+
+
+def test_pictures_need_a_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = write(tmp_path, 1883)
+    assert main(["doctor", str(tmp_path / "a.png"), "--config", config, "--profile", "paper"]) == EXIT_OK
+    (tmp_path / "c.npz").unlink()
+    assert main(["doctor", str(tmp_path / "a.png"), "--config", config]) == EXIT_CONFIG
+    assert "found no file" in capsys.readouterr().err
