@@ -69,10 +69,10 @@ PAGES = {
         drawn=("sigma.png",),
     ),
     "limits": Page(
-        {"": "tools.studies.limits"},
+        {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
         r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm)$"
         r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
-        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a release)"
+        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a release)[^|]*\| [a-z]+ "
         r"|^(glare spot|moved by 1 px) \| \w+ \| 126",
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),

@@ -66,11 +66,12 @@ def figures(judged: Sequence[Judged]) -> list[str]:
         found, limits = [each.found for each in some], (some[0].least, some[0].most)
         between = f"{min(found):.3g} to {max(found):.3g}"
         refused = sum(each.refuses for each in some)
-        lines.append(f"{judge:<8} {what:<37} {between:<18} {_limits(*limits):<18} {len(some):>8} {refused:>8}")
+        lines.append(f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} {refused:>8}")
     return lines
 
 
-def _limits(least: float, most: float) -> str:
+def limits_of(least: float, most: float) -> str:
+    """The limits of a figure, as a person reads them."""
     if math.isinf(most):
         return f"at least {least:.3g}"
     return f"at most {most:.3g}" if least <= 0 else f"{least:.3g} to {most:.3g}"

@@ -7,7 +7,8 @@
 
 Each kind has as many frames of each sensor: presses, nothing in contact under every change of normal use, and images
 that show no skin as it is. A network overruled is one that found a contact of `LEAST_MM` or more in a frame for which
-the gate or a judge answers that there is none.
+the gate or a judge answers that there is none. The second table has each figure of a judge: its limit, how far frames
+of normal use go, and the nearest frame that it refuses.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import argparse
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -25,8 +26,10 @@ import numpy as np
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.contact.objects import contact_of, find_objects
+from tacshade_edge.core.frame_check import Measured
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.doctor.pictures import limits_of
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press
@@ -142,7 +145,9 @@ SPOILT: dict[str, Callable[[U8, PressedSensor, Rng], U8]] = {
     "dirty: specks": _specks,
     "dirty: half covered": _covered,
 }
-PRESSED, PRESSED_MOVED = "pressed", "pressed, moved by 3 to 7 px"
+PRESSED = "pressed"
+USUAL = (PRESSED, *CHANGES, RELEASED)
+"""The kinds of frames of normal use."""
 
 
 def frames(sensor: PressedSensor, seed: int, count: int) -> Iterator[tuple[str, U8]]:
@@ -183,37 +188,60 @@ def seen(one: Reconstructor, image: U8, made: Reconstruction) -> Seen:
     return Seen(code, made.degraded is not None, made.contact, made.depth_max_mm, found_mm)
 
 
-def row(what: str, profile: str, some: Sequence[Seen]) -> tuple[str, ...]:
-    """Counts of one kind and profile."""
-    refused = Counter(each.code for each in some if each.code)
-    usable = [each for each in some if not each.code]
-    clean = [each for each in usable if each.contact and not each.degraded]
+def row(what: str, by_profile: Sequence[Sequence[Seen]]) -> tuple[str, ...]:
+    """The counts of one kind, a number for each profile."""
+
+    def each(count: Callable[[Sequence[Seen]], object]) -> str:
+        return ", ".join(str(count(some)) for some in by_profile)
+
+    by = Counter(one.code for some in by_profile for one in some if one.code)
     return (
         what,
-        profile,
-        str(len(some)),
-        str(sum(refused.values())),
-        ", ".join(f"{code} {count}" for code, count in refused.most_common()) or "-",
-        str(sum(each.degraded for each in usable)),
-        str(sum(each.contact for each in usable)),
-        str(len(clean)),
-        f"{max((each.depth_mm for each in usable), default=0):.2f}",
-        str(sum(each.overruled for each in some)),
+        str(len(by_profile[0])),
+        each(lambda some: sum(bool(one.code) for one in some)),
+        ", ".join(code for code, _ in by.most_common()) or "-",
+        each(lambda some: sum(one.contact for one in some)),
+        each(lambda some: sum(one.contact and not one.degraded for one in some)),
+        each(lambda some: f"{max(one.depth_mm for one in some):.2f}"),
+        each(lambda some: sum(one.overruled for one in some)),
     )
 
 
-COLUMNS = (
-    "frame",
-    "profile",
-    "frames",
-    "refused",
-    "by",
-    "degraded",
-    "contacts",
-    "neither",
-    "deepest mm",
-    "network overruled",
-)
+class Margins:
+    """How near to each limit frames of normal use and refused frames come."""
+
+    def __init__(self) -> None:
+        self._usual: dict[tuple[str, str], list[Measured]] = {}
+        self._refused: dict[tuple[str, str], list[Measured]] = {}
+
+    def add(self, measured: Iterable[Measured], *, usual: bool) -> None:
+        """Count a frame's figures: of normal use, or else those that refuse it."""
+        for each in measured:
+            if usual or each.refuses:
+                to = self._usual if usual else self._refused
+                to.setdefault((each.judge, each.what), []).append(each)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row for each figure: its limits, and the extremes of both kinds of frames on the side of the limit."""
+        made: list[tuple[str, ...]] = []
+        for key in dict.fromkeys((*self._usual, *self._refused)):
+            usual, refused = self._usual.get(key, []), self._refused.get(key, [])
+            one = (usual or refused)[0]
+            far, near = (max, min) if math.isfinite(one.most) else (min, max)
+            made.append(
+                (
+                    *key,
+                    limits_of(one.least, one.most),
+                    f"{far(each.found for each in usual):.3g}" if usual else "-",
+                    f"{near(each.found for each in refused):.3g}" if refused else "-",
+                    str(len(refused)),
+                )
+            )
+        return made
+
+
+MARGINS = ("judge", "figure", "limit", "normal use reaches", "nearest refused", "frames refused by it")
+COLUMNS = ("what", "count", "refused", "by", "contacts", "not degraded", "deepest mm", "network overruled")
 
 
 def main() -> int:
@@ -226,13 +254,21 @@ def main() -> int:
     cv2.setNumThreads(1)
     sensors: Sequence[SensorName] = args.sensors
     rows: dict[tuple[str, str], list[Seen]] = {}
+    margins = Margins()
     for name in sensors:
         sensor = name.make()
         made = {profile: reconstructor(calibrated(sensor), profile) for profile in args.profile}
         for what, image in frames(sensor, name.seed or 0, args.frames):
             for profile, one in made.items():
                 rows.setdefault((what, profile), []).append(seen(one, image, one.step(Frame(0, 0, 0, image))))
-    print(markdown(COLUMNS, [row(what, profile, some) for (what, profile), some in rows.items()]))
+                margins.add(one.measured(image), usual=what in USUAL)
+    whole = [[one for what in USUAL for one in rows[what, profile]] for profile in args.profile]
+    found = [row("normal use", whole)]
+    found += [
+        row(what, [rows[what, each] for each in args.profile]) for what in dict.fromkeys(what for what, _ in rows)
+    ]
+    print(f"Each number of three: {', '.join(args.profile)}\n\n{markdown(COLUMNS, found)}")
+    print("\nThe limits of the judges\n\n" + markdown(MARGINS, margins.rows()))
     return 0
 
 
