@@ -1,15 +1,32 @@
+"""Power, heat, governor, clocks and disk; and that a report says what the board is, and nothing of whose it is."""
+
 from __future__ import annotations
 
 import getpass
 import os
 import pty
 import shutil
+import socket
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.findings import checked, states
 
+from tacshade_edge.doctor.board import (
+    MODEL,
+    THROTTLED,
+    board_facts,
+    check_board,
+    check_clock,
+    check_disk,
+    check_wear,
+    heat,
+    judge_clock,
+    judge_disk,
+    synchronised,
+)
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 
 
@@ -80,3 +97,108 @@ def test_the_fix_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
         assert "udev" in permission_fix(device, "video"), "nobody should join root"
     else:
         assert getpass.getuser() in permission_fix(device, "dialout")
+
+
+CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
+SECRETS = ("10000000abcdef01", "somebodys-hand", "dc:a6:32:01:02:03")
+NOW_S, INSTALLED_S = 1_800_000_000.0, 1_790_000_000.0
+
+
+@pytest.mark.parametrize(
+    ("files", "found", "words"),
+    [
+        ({}, [], []),
+        ({THROTTLED: "0"}, ["ok"], ["fine"]),
+        ({THROTTLED: "50000"}, ["warning", "warning"], ["under-voltage at some time", "slowed down at some time"]),
+        ({THROTTLED: "50001"}, ["warning", "warning"], ["under-voltage now", "slowed down at some time"]),
+        ({THROTTLED: "80008"}, ["warning"], ["slowed down now"]),
+        ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "cpufreq-dt"}, ["warning"], ["powersave"]),
+        ({f"{CPU}/scaling_governor": "ondemand", f"{CPU}/scaling_driver": "cpufreq-dt"}, [], []),
+        ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "intel_pstate"}, [], []),
+    ],
+)
+def test_power_and_governor(machine: Any, files: dict[str, str], found: list[str], words: list[str]) -> None:
+    for path, text in files.items():
+        machine.put(path, f"{text}\n")
+    findings = check_board(machine)
+    assert states(findings) == found
+    assert all(word in finding.found for word, finding in zip(words, findings, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("now_s", "synced", "resolution_s", "found"),
+    [
+        (NOW_S, True, 1e-9, ["ok"]),
+        (NOW_S, None, 1e-9, ["ok"]),
+        (NOW_S, False, 1e-9, ["warning"]),
+        (0.0, True, 1e-9, ["fault"]),
+        (NOW_S, True, 0.004, ["ok", "warning"]),
+    ],
+)
+def test_clocks(now_s: float, synced: bool | None, resolution_s: float, found: list[str]) -> None:
+    assert states(judge_clock(now_s, INSTALLED_S, synced, resolution_s)) == found
+    assert synchronised() in (True, False)
+    assert states(check_clock())[0] in ("ok", "warning"), "this machine knows its year"
+
+
+@pytest.mark.parametrize(
+    ("free_bytes", "read_only", "state"),
+    [
+        (5_000_000_000, False, "ok"),
+        (400_000_000, False, "warning"),
+        (1_000_000, False, "fault"),
+        (5_000_000_000, True, "fault"),
+    ],
+)
+def test_disk(machine: Any, tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> None:
+    assert states(judge_disk(Path("/var/lib/x"), free_bytes, read_only)) == [state]
+    later = tmp_path / "a/b/c"
+    assert str(later) in checked(check_disk(later, machine))[0].found, "a folder that is not there yet"
+    if Path("/sys/kernel").is_dir():
+        assert states(check_disk(Path("/sys/kernel"), machine))[0] == "fault", "sysfs has no free byte"
+
+
+def test_a_worn_card(machine: Any) -> None:
+    machine.put("/sys/block/mmcblk0/device/life_time", "0x02 0x0a\n")
+    machine.put("/sys/block/mmcblk1/device/life_time", "0x01 0x02\n")
+    machine.put("/sys/block/mmcblk2/device/type", "SD\n")
+    (finding,) = checked(check_wear(machine))
+    assert finding.state == "warning"
+    assert "mmcblk0" in finding.found
+
+
+def test_the_facts_name_the_board_and_not_its_owner(machine: Any) -> None:
+    assert set(board_facts(machine)) == {"board", "cores", "kernel", "Python", "tacshade-edge"}, "all that is told"
+    assert heat(machine) == ""
+    for path, text in {
+        MODEL: "Raspberry Pi | 5\x1b[31m" + "d" * 200,
+        "/proc/device-tree/serial-number": f"{SECRETS[0]}\0",
+        "/proc/cpuinfo": f"processor\t: 0\nCPU part\t: 0xd0b\n\nSerial\t\t: {SECRETS[0]}\nModel\t\t: Pi\n",
+        "/proc/meminfo": "MemTotal:        8245424 kB\n",
+        "/etc/hostname": f"{SECRETS[1]}\n",
+        "/etc/os-release": 'PRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\nNAME="Debian"\n',
+        "/sys/class/net/eth0/address": f"{SECRETS[2]}\n",
+        f"{CPU}/cpuinfo_max_freq": "2400000\n",
+    }.items():
+        machine.put(path, text)
+    facts = board_facts(machine)
+    assert facts["board"].startswith("Raspberry Pi / 5\\x1b[31md")
+    assert len(facts["board"]) < 100
+    assert facts["cores"].endswith(", up to 2400 MHz")
+    known = ("Cortex-A76", "7.9 GiB", "Debian GNU/Linux 12 (bookworm)")
+    assert tuple(facts[name] for name in ("processor", "memory", "system")) == known
+    told = "\n".join(facts.values())
+    assert [secret for secret in (*SECRETS, socket.gethostname()) if secret in told] == []
+    assert getpass.getuser() not in told.split()
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [("0", "never throttled"), ("50005", "under-voltage and throttled"), ("80000", "hot")],
+)
+def test_heat(machine: Any, flags: str, told: str) -> None:
+    for zone, (kind, millidegrees) in enumerate((("cpu-thermal", 61200), ("rp1_adc", 80000))):
+        machine.put(f"/sys/class/thermal/thermal_zone{zone}/type", kind)
+        machine.put(f"/sys/class/thermal/thermal_zone{zone}/temp", str(millidegrees))
+    machine.put(THROTTLED, flags)
+    assert heat(machine) == f"61 °C, {told} since boot"

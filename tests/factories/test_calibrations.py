@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,10 +18,15 @@ from support.networks import fitted_network, fitted_with
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import Inputs
 from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.devices.camera.simulated import SimulatedSource
+from tacshade_edge.devices.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
+from tacshade_edge.factories.sources import SOURCES, make_source
 from tacshade_edge.inference.network import load_networks
+from tacshade_edge.settings import Files, Settings, Simulated, Source, V4l2
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.image_source import FilesSource
 from tacshade_edge.types import Calibration
 
 OLDER = calibration_file.VERSION - 1
@@ -155,3 +162,24 @@ def test_weights_that_are_not_those_of_their_layout_do_not_run(path: Path) -> No
         assert calibrations.load(path).fitted == {}
     calibration_file.save(path, replace(calibrated(), fitted={"other": network}))
     assert calibrations.load(path).fitted == {}
+
+
+@pytest.mark.parametrize(
+    ("settings", "source"), [(V4l2(), V4l2Source), (Files(path="a"), FilesSource), (Simulated(), SimulatedSource)]
+)
+def test_each_kind_of_source_is_made_from_its_settings(settings: Source, source: type) -> None:
+    assert isinstance(make_source(settings), source)
+
+
+def test_every_kind_in_the_settings_has_a_source() -> None:
+    assert set(SOURCES) == set(Source.__args__)
+    assert isinstance(Settings().source, V4l2)
+
+
+def test_a_camera_needs_no_simulator(tmp_path: Path) -> None:
+    code = (
+        "import sys; from tacshade_edge.factories.sources import make_source; from tacshade_edge.settings import V4l2;"
+        "make_source(V4l2()); print([m for m in sys.modules if 'simulat' in m])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stdout.strip() == "[]"

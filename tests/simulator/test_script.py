@@ -1,12 +1,21 @@
+from __future__ import annotations
+
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.examples import examples
 
-from tacshade_edge.simulator.drag import SLIDES
+from tacshade_edge.rigid import turn
+from tacshade_edge.simulator import camera_faults
+from tacshade_edge.simulator.drag import SLIDES, loads_of
+from tacshade_edge.simulator.load import summed
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.scene import SimulatedSensor, skin_under
 from tacshade_edge.simulator.script import Drag, Script, ball_presses, demonstration
 
 
@@ -76,3 +85,114 @@ def test_presses_are_repeatable_and_fit_every_skin() -> None:
         assert [(r, p.depth_mm, p.x_mm) for p, r in one] == [(r, p.depth_mm, p.x_mm) for p, r in same]
         assert all(p.lowest_z_mm(model.skin_radius_mm) > 0 for p, _ in one)
     assert ball_presses(SensorModel(), 0) == []
+
+
+MODEL = SensorModel(sway=0.0)
+
+
+def test_pressure_pushes_along_the_radius_and_traction_pulls_against_the_skins_drag() -> None:
+    direction = np.array(((0.0, 0.0, 1.0), (0.6, 0.0, 0.8)))
+    load = summed(direction, 20 * direction, np.array((2.0, 1.0)), np.array(((1.0, 0.0), (0.0, -1.0))), 0.25, 0.0)
+    assert load.normal_mm3 == pytest.approx(0.75)
+    assert load.shear_mm3 == pytest.approx(0.5)
+    assert load.push_mm3 == pytest.approx((0.15, 0.0, 0.7))
+    assert load.pull_mm3 == pytest.approx((-0.25, 0.25, 0.0))
+    assert load.torque_mm4 == pytest.approx((-0.25 * 16, -0.25 * 20, 0.25 * 12))
+    assert load.margin(1.5) == pytest.approx(1 - 0.5 / (1.5 * 0.75))
+    turned = load.turned(turn((0.0, 0.0, math.pi / 2)).rotation)
+    assert turned.push_mm3 == pytest.approx((0.0, 0.15, 0.7))
+    assert turned.shear_mm3 == load.shear_mm3
+
+
+def test_a_contact_without_pressure_has_no_margin() -> None:
+    nothing = np.zeros((0, 3))
+    assert summed(nothing, nothing, np.zeros(0), np.zeros((0, 2)), 0.25, 0.0).margin(1.5) == 0.0
+
+
+@pytest.mark.slow
+def test_a_skin_pushes_a_ball_as_its_pressure_does() -> None:
+    def normal(depth_mm: float) -> float:
+        press = (Press(ball(20.0), depth_mm=depth_mm),)
+        (load,) = loads_of(skin_under(MODEL, press), MODEL, press)
+        assert load.push_mm3 == pytest.approx((0, 0, load.normal_mm3), rel=0.05, abs=0.01)
+        assert load.shear_mm3 == 0
+        return load.normal_mm3
+
+    # A membrane on a foundation: ∫ h over the contact, and its edge's pull on the skirt, λ times the slope around it.
+    shallow, deep = normal(1.0), normal(2.0)
+    assert 2.5 < deep / shallow < 4.0
+
+
+@pytest.mark.slow
+def test_a_drag_one_way_and_the_other_are_alike_and_a_twist_cancels_out() -> None:
+    def load(**drag: float):  # type: ignore[no-untyped-def]
+        press = (Press(ball(20.0), depth_mm=1.5, **drag),)
+        return loads_of(skin_under(MODEL, press), MODEL, press)[0]
+
+    one, other, twisted = load(drag_x_mm=1.0), load(drag_x_mm=-1.0), load(twist_deg=10.0)
+    assert one.pull_mm3[0] == pytest.approx(-other.pull_mm3[0], rel=0.01)
+    assert one.pull_mm3[0] < 0
+    assert one.shear_mm3 == pytest.approx(-one.pull_mm3[0], rel=0.05)
+    assert np.linalg.norm(twisted.pull_mm3[:2]) < 0.01 * twisted.shear_mm3
+    assert twisted.torque_mm4[2] < 0
+    assert load(drag_x_mm=4.0).surplus > 0.3
+    assert one.surplus < 1e-3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"skin_radius_mm": 0.0},
+        {"pitch_mm": float("nan")},
+        {"skin_decay_mm": -1.0},
+        {"visible_half_angle_deg": 80.0},
+        {"pitch_mm": 0.01},
+        {"pin_length_pitches": 9.0},
+        {"light": -3.0},
+        {"blur_px": float("inf")},
+        {"surround": "grey"},
+        {"camera_distance_mm": -14.0},
+        {"friction": 1.5},
+        {"creep_part": 0.2},
+        {"creep_s": 0.0},
+        {"image_width_px": 0},
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_by_name(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        replace(SensorModel(), **change)
+
+
+def test_geometry_is_the_models() -> None:
+    geometry = SensorModel().geometry
+    assert (geometry.skin_radius_mm, geometry.camera_distance_mm, geometry.visible_half_angle_deg) == (20.0, 14.0, 50.0)
+    assert (geometry.disc.row_c, geometry.disc.col_c, geometry.disc.radius_px) == (236.4, 327.7, 205.0)
+
+
+@given(st.integers(0, 2**32))
+@examples(50)
+def test_random_models_are_valid_inside_the_image_and_repeatable(seed: int) -> None:
+    model = random_model(seed)
+    assert model == random_model(seed)
+    for centre, size in ((model.row_c, model.image_height_px), (model.col_c, model.image_width_px)):
+        assert model.disc_radius_px <= centre <= size - 1 - model.disc_radius_px
+
+
+def test_other_seeds_give_other_sensors() -> None:
+    assert len({random_model(seed).pitch_mm for seed in range(10)}) == 10
+
+
+IMAGE = np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3).astype(np.uint8)
+
+
+def test_gain_scales_and_clips() -> None:
+    assert np.array_equal(camera_faults.gain(IMAGE, 1.0), IMAGE)
+    assert camera_faults.gain(np.full((2, 2), 100, np.uint8), 0.9).tolist() == [[90, 90], [90, 90]]
+    assert camera_faults.gain(np.full((2, 2), 250, np.uint8), 1.1).max() == 255
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(1, 0), (-2, 3), (0, 0)])
+def test_shift_moves_by_whole_pixels(rows: int, cols: int) -> None:
+    result = camera_faults.shift(IMAGE, rows, cols)
+    assert np.array_equal(result[10 + rows, 10 + cols], IMAGE[10, 10])
+    assert result.shape == IMAGE.shape

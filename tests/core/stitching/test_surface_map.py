@@ -1,10 +1,23 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, calibrated, pressed, step
 
 from tacshade_edge.core.stitching import surface_map
+from tacshade_edge.core.stitching.press_points import (
+    MIN_CONFIDENCE,
+    NO_POINTS,
+    REST_NS,
+    RestDetector,
+    height_weight,
+    press_points,
+)
 from tacshade_edge.core.stitching.surface_map import SurfaceMap
+from tacshade_edge.rigid import shift, turn
+from tacshade_edge.types import HeightMap
 
 STEP_MM = surface_map.STEP_MM
 
@@ -102,3 +115,116 @@ def test_a_point_that_is_none_is_refused(bad: float) -> None:
     with pytest.raises(ValueError, match="not finite"):
         fused.add(np.array(((0.0, bad, 0.0),)), np.ones(1))
     assert fused.tiles == 0
+
+
+FRAME_NS = 33_000_000
+
+
+def fired(depths: list[float | None]) -> list[int]:
+    """Indices of the frames at which a contact came to rest; None is a frame without contact."""
+    rest = RestDetector()
+    return [k for k, d in enumerate(depths) if rest.update(k * FRAME_NS + 1, d is not None, d or 0.0)]
+
+
+PRESS = [0.2, 0.8, 1.4, 2.0] + [2.0 + 0.01 * (k % 3) for k in range(30)] + [1.2, 0.5]
+
+
+def test_once_in_each_contact() -> None:
+    hits = fired([None, *PRESS, None, None, *PRESS, None])
+    assert len(hits) == 2
+    assert 4 + REST_NS // FRAME_NS <= hits[0] <= 4 + REST_NS // FRAME_NS + 3
+    assert hits[1] - hits[0] == len(PRESS) + 2
+
+
+def test_what_moves_does_not_come_to_rest() -> None:
+    assert fired([0.05 * k for k in range(1, 60)]) == []
+    assert fired([2.0 + 0.2 * (k % 2) for k in range(60)]) == []
+
+
+def test_a_slow_creep_does_not_come_to_rest() -> None:
+    # 0.6 mm/s
+    assert fired([1.0 + 0.02 * k for k in range(100)]) == []
+
+
+def test_too_short_a_contact_does_not_come_to_rest() -> None:
+    assert fired([None, *[2.0] * 8, None]) == []
+
+
+@pytest.mark.slow
+def test_the_points_are_the_contacts() -> None:
+    result = step("accurate", pressed("ball", 3.0).image)
+    touch = press_points(result.height, calibrated().geometry)
+    # The cloud is ordered by object; of one object both go row by row.
+    np.testing.assert_allclose(touch.points_mm, result.cloud.points_mm, atol=1e-5)
+    assert touch.confidence.min() == pytest.approx(MIN_CONFIDENCE, abs=0.4)
+    assert touch.confidence.max() == 1
+    # The middle of the contact has more confidence than its outline.
+    rho = np.hypot(*touch.points_mm[:, :2].T)
+    assert touch.confidence[rho < 1].min() > touch.confidence[rho > np.percentile(rho, 95)].max()
+
+
+def test_wide_cells_are_divided() -> None:
+    # The same skin on cells of 0.2 and of 0.8 mm, four of them as one.
+    geometry = calibrated().geometry
+    fine_px = 0.2 / geometry.mm_per_px
+    rows, cols = np.mgrid[:64, :64]
+    inside = np.hypot(rows - 31.5, cols - 31.5) < 24
+    dent = np.maximum(0, 2 - 0.003 * ((rows - 31.5) ** 2 + (cols - 31.5) ** 2)).astype(np.float32)
+    first = (geometry.disc.row_c - 31.5 * fine_px, geometry.disc.col_c - 31.5 * fine_px)
+    fine = press_points(HeightMap(dent, inside, *first, fine_px), geometry)
+    blocks = dent.reshape(16, 4, 16, 4).mean(axis=(1, 3)), inside[1::4, 1::4].copy()
+    wide = press_points(HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px), geometry)
+    assert len(wide.points_mm) == pytest.approx(9 * np.count_nonzero(blocks[1]))  # 0.8 mm into three
+    assert len(fine.points_mm) == np.count_nonzero(inside)
+    middle = np.hypot(*wide.points_mm[:, :2].T) < 3
+    for point in wide.points_mm[middle][::17]:
+        nearest = fine.points_mm[np.argmin(np.linalg.norm(fine.points_mm - point, axis=1))]
+        assert abs(nearest[2] - point[2]) < 0.1
+        assert np.hypot(*(nearest - point)[:2]) < 0.15
+
+
+def test_of_narrow_cells_some_do() -> None:
+    geometry = calibrated().geometry
+    step_px = 0.09 / geometry.mm_per_px  # three of them are 0.27 mm
+    rows, cols = np.mgrid[:150, :150]
+    inside = np.hypot(rows - 75, cols - 75) < 60
+    first = (geometry.disc.row_c - 75 * step_px, geometry.disc.col_c - 75 * step_px)
+    height = HeightMap(np.zeros((150, 150), np.float32), inside, *first, step_px)
+    touch = press_points(height, geometry)
+    assert len(touch.points_mm) == pytest.approx(np.count_nonzero(inside) / 9, rel=0.05)
+    np.testing.assert_allclose(np.linalg.norm(touch.points_mm, axis=1), geometry.skin_radius_mm, atol=1e-3)
+    np.testing.assert_allclose(touch.points_mm[:, :2].mean(axis=0), 0, atol=0.3)
+    # A contact of a cell or two may fall between them: that is nothing to trust.
+    small = np.zeros((150, 150), bool)
+    small[70, 70] = True
+    assert len(press_points(HeightMap(height.height_mm, small, *first, step_px), geometry).points_mm) <= 1
+
+
+def test_normals_are_the_skins() -> None:
+    geometry = calibrated().geometry
+    flat = np.zeros((60, 60), np.float32)
+    contact = np.zeros((60, 60), bool)
+    contact[20:40, 20:40] = True
+    step_px = geometry.disc.radius_px / 40
+    height = HeightMap(flat, contact, geometry.disc.row_c - 30 * step_px, geometry.disc.col_c - 30 * step_px, step_px)
+    touch = press_points(height, geometry)
+    # Undeformed skin is the sphere.
+    np.testing.assert_allclose(touch.normals, touch.points_mm / HALF.skin_radius_mm, atol=0.01)
+
+
+@pytest.mark.slow
+def test_steep_places_say_little_of_height() -> None:
+    touch = press_points(step("accurate", pressed("ball", 3.0).image).height, calibrated().geometry)
+    upright = height_weight(touch, shift(1, 2, 3))
+    assert (upright <= touch.confidence + 1e-6).all()
+    middle = int(np.argmin(np.hypot(*touch.points_mm[:, :2].T)))
+    assert upright[middle] > 0.9
+    tilted = height_weight(touch, turn((0.7, 0, 0)))  # 40 degrees
+    assert tilted[middle] < 0.1 * upright[middle]
+    over = height_weight(touch, turn((np.pi, 0, 0)))  # looking down
+    np.testing.assert_allclose(over, upright, atol=1e-6)
+
+
+def test_without_contact_there_is_nothing() -> None:
+    height = HeightMap(np.zeros((9, 9), np.float32), np.zeros((9, 9), bool), 100.0, 100.0, 4.0)
+    assert press_points(height, calibrated().geometry) is NO_POINTS

@@ -1,0 +1,314 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import cell_area_mm2, cells_that_see, skin_planes, skin_points
+from tacshade_edge.core.geometry.disc import (
+    DiscRays,
+    Grid,
+    Window,
+    cells_in_image,
+    disc_mask,
+    disc_rays,
+    radius_squared,
+)
+from tacshade_edge.core.geometry.visible_circle import (
+    LEAST_APART,
+    LEAST_RADIUS_PX,
+    LEAST_RIM_SEEN,
+    circle_through,
+    rim_seen,
+)
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator.render import project
+from tacshade_edge.simulator.truth import pixel_rays
+from tacshade_edge.types import Disc, Geometry
+
+DISC = Disc(118.3, 163.6, 102.4)
+
+
+def rays_of(u: list[float], v: list[float]) -> DiscRays:
+    return DiscRays(np.ones(len(u), bool), np.array(u, np.float32), np.array(v, np.float32))
+
+
+@given(
+    st.none() | st.floats(2.0, 60.0),
+    st.floats(10.0, 40.0),
+    st.floats(0.0, 0.95),
+    st.floats(0.0, 60.0),
+    st.floats(0.0, 2 * math.pi),
+)
+def test_a_seen_skin_point_comes_back(d_mm: float | None, r_mm: float, part: float, polar: float, turn: float) -> None:
+    h_mm = part * r_mm
+    theta = math.radians(polar)
+    normal = np.array([math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)])
+    point = (r_mm - h_mm) * normal
+    geometry = Geometry(r_mm, d_mm, 50.0, DISC)
+    col, row = project(geometry, point)
+    rays = disc_rays(Grid(1, 1, float(row), float(col), 1.0), geometry)
+    found = skin_points(np.full((1, 1), h_mm, np.float32), rays, geometry)
+    np.testing.assert_allclose(found[0, 0], point, atol=1e-3)
+
+
+@pytest.mark.parametrize("d_mm", [None, 14.0])
+def test_the_apex_is_at_the_radius_less_the_height(d_mm: float | None) -> None:
+    found = skin_points(np.array([0, 3], np.float32), rays_of([0, 0], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
+    np.testing.assert_allclose(found, [[0, 0, 20], [0, 0, 17]], atol=1e-5)
+
+
+@pytest.mark.parametrize("d_mm", [None, 14.0])
+def test_a_height_out_of_the_rays_reach_is_guarded(d_mm: float | None) -> None:
+    geometry = Geometry(20.0, d_mm, 50.0, DISC)
+    slope = 15.0 if d_mm is None else 0.5
+    heights = np.array([0, 18, 20], np.float32)
+    found = skin_points(heights, rays_of([slope] * 3, [0] * 3), geometry)
+    assert np.isfinite(found).all()
+    if d_mm is not None:  # the foot of the perpendicular from O on the ray
+        foot = d_mm * 0.5 / 1.25
+        np.testing.assert_allclose(found[1], [foot, 0, foot / 0.5 - d_mm], atol=1e-4)
+    assert np.linalg.norm(found[0]) == pytest.approx(20, abs=1e-4)
+
+
+@pytest.mark.parametrize("d_mm", [None, 14.0])
+def test_nan_stays_nan(d_mm: float | None) -> None:
+    heights = np.array([np.nan, 1], np.float32)
+    found = skin_points(heights, rays_of([0.1, 0.1], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
+    assert np.isnan(found[0]).all()
+    assert np.isfinite(found[1]).all()
+
+
+@pytest.mark.parametrize("d_mm", [None, 14.0])
+def test_cells_add_up_to_the_spherical_cap(d_mm: float | None) -> None:
+    geometry = Geometry(20.0, d_mm, 50.0, DISC)
+    rays = disc_rays(Grid(240, 320, 0.0, 0.0, 1.0), geometry)
+    height = np.where(rays.inside, np.float32(0), np.float32(np.nan))
+    area = cell_area_mm2(skin_planes(height, rays, geometry))
+    cap = 2 * math.pi * 20.0**2 * (1 - math.cos(math.radians(50.0)))
+    assert float(np.nansum(area)) == pytest.approx(cap, rel=0.04)  # the rim's cells have no area
+    assert area[0, 0] == 0
+    assert np.isfinite(area).all()
+
+
+def test_areas_are_those_of_plain_gradients() -> None:
+    points = np.random.default_rng(3).normal(size=(7, 9, 3)).astype(np.float32)
+    points[2, 3] = np.nan
+    du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    expected = np.linalg.norm(np.cross(du, dv), axis=-1)
+    assert np.isnan(expected).sum() == 4
+    np.testing.assert_array_equal(cell_area_mm2(np.moveaxis(points, -1, 0)), np.nan_to_num(expected))
+
+
+def test_a_line_of_points_has_no_area() -> None:
+    assert cell_area_mm2(np.zeros((3, 1, 5), np.float32)).tolist() == [[0.0] * 5]
+    assert cell_area_mm2(np.zeros((3, 1, 1), np.float32)).tolist() == [[0.0]]
+
+
+@given(st.none() | st.floats(5.0, 60.0), st.floats(10.0, 40.0), st.integers(0, 2**32 - 1), st.floats(0.5, 8.0))
+def test_points_are_seen_by_the_cells_that_they_are_of(d_mm: float | None, r_mm: float, seed: int, step: float) -> None:
+    geometry = Geometry(r_mm, d_mm, 50.0, DISC)
+    random = np.random.default_rng(seed)
+    grid = Grid(9, 11, *(random.uniform(60.0, 120.0, 2).tolist()), step)
+    height_mm = random.uniform(0, r_mm / 2, (9, 11)).astype(np.float32)
+    chosen = random.random((9, 11)) < 0.3
+    points = skin_points(height_mm, disc_rays(grid, geometry), geometry)[chosen]
+    np.testing.assert_array_equal(cells_that_see(points, grid, geometry), chosen)
+
+
+@given(st.none() | st.floats(5.0, 60.0), st.lists(st.tuples(*[st.floats(width=32)] * 3)))
+def test_no_point_breaks_it(d_mm: float | None, points: list[tuple[float, float, float]]) -> None:
+    given_mm = np.array(points, np.float32).reshape(-1, 3)
+    seen = cells_that_see(given_mm, Grid(5, 5, 1.0, 1.0, 4.0), Geometry(20.0, d_mm, 50.0, DISC))
+    assert seen.shape == (5, 5)
+
+
+CAMERAS = [None, 4.0, 14.0, 60.0]
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.floats(-60, 90), st.floats(-60, 90), st.floats(0, 60))
+def test_a_window_holds_the_disc_and_lies_in_the_image(
+    height: int, width: int, row_c: float, col_c: float, radius: float
+) -> None:
+    disc = Disc(row_c, col_c, radius)
+    window, mask = Window.of_disc(height, width, disc), disc_mask(height, width, disc)
+    assert window.rows > 0
+    assert window.cols > 0
+    assert window.cut(mask).shape == (window.rows, window.cols)
+    assert window.cut(mask).sum() == mask.sum()
+    assert max(window.rows, window.cols) <= 2 * radius + 3
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
+def test_a_grid_lies_in_its_window_and_covers_it(row0: int, col0: int, rows: int, cols: int, step: int) -> None:
+    grid = Grid.of_window(Window(row0, col0, rows, cols), step)
+    for first, count, begin, size in ((grid.row0, grid.rows, row0, rows), (grid.col0, grid.cols, col0, cols)):
+        last = first + step * (count - 1)
+        assert begin <= first <= last < begin + size
+        assert max(first - begin, begin + size - 1 - last) < step
+        if size >= step:  # whatever the window, the same pixels of the image
+            assert first % step == step // 2
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
+def test_every_cell_of_an_image_grid_is_in_the_image(height: int, width: int, step: int) -> None:
+    assert cells_in_image(Grid.of_window(Window(0, 0, height, width), step), height, width).all()
+
+
+def test_cells_beyond_the_image_are_not_in_it() -> None:
+    seen = cells_in_image(Grid(4, 5, -1.6, -0.4, 1.3), 3, 5)  # rows -1.6, -0.3, 1.0, 2.3; columns -0.4 ... 4.8
+    np.testing.assert_array_equal(seen.any(axis=1), [False, True, True, True])
+    np.testing.assert_array_equal(seen.any(axis=0), [True, True, True, True, False])
+
+
+def test_the_mask_holds_the_pixels_whose_centre_is_in_the_circle() -> None:
+    mask = disc_mask(7, 9, Disc(3.0, 4.0, 2.0))
+    expected = np.array([[(r - 3) ** 2 + (c - 4) ** 2 <= 4 for c in range(9)] for r in range(7)])
+    np.testing.assert_array_equal(mask, expected)
+    assert not disc_mask(7, 9, Disc(100.0, 100.0, 2.0)).any()
+
+
+def test_the_rim_is_at_one_and_the_centre_at_zero() -> None:
+    rho2 = radius_squared(Grid(11, 11, 0.0, 0.0, 1.0), Disc(5.0, 5.0, 5.0))
+    assert rho2[5, 5] == 0
+    assert rho2[5, 10] == rho2[0, 5] == 1
+
+
+@pytest.mark.parametrize("distance_mm", CAMERAS)
+def test_the_visible_circle_is_where_the_half_angle_is_seen(distance_mm: float | None) -> None:
+    geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.0, 163.0, 100.0))
+    theta = np.radians(50.0)
+    for angle in (0.0, 1.0, 3.0):
+        along = np.array([np.sin(theta) * np.cos(angle), np.sin(theta) * np.sin(angle), np.cos(theta)])
+        col, row = project(geometry, 20.0 * along)
+        assert np.hypot(row - 118.0, col - 163.0) == pytest.approx(100.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("distance_mm", CAMERAS)
+def test_rays_are_those_of_the_independent_camera(distance_mm: float | None) -> None:
+    geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.3, 163.6, 102.4))
+    grid = Grid.of_window(Window(0, 0, 240, 320), 4)
+    rays = disc_rays(grid, geometry)
+    rows, cols = (v.ravel().astype(float) for v in np.mgrid[2:240:4, 2:320:4])
+    origin, along = pixel_rays(geometry, rows, cols)
+    if distance_mm is None:
+        u, v = origin[:, 0], origin[:, 1]
+    else:
+        u, v = along[:, 0] / along[:, 2], along[:, 1] / along[:, 2]
+    np.testing.assert_allclose(rays.u.ravel(), u, atol=2e-6)
+    np.testing.assert_allclose(rays.v.ravel(), v, atol=2e-6)
+    np.testing.assert_array_equal(rays.inside.ravel(), np.hypot(rows - 118.3, cols - 163.6) <= 102.4)
+    assert rays.inside.shape == rays.u.shape == rays.v.shape == (60, 80)
+
+
+MAPPED = Disc(row_c=61.3, col_c=83.9, radius_px=47.7)
+
+
+def test_the_square_holds_the_disc_and_its_cells_tile_it() -> None:
+    grid = disc_map.map_grid(MAPPED)
+    assert grid.rows == grid.cols == disc_map.CELLS
+    reach = disc_map.REACH * MAPPED.radius_px
+    assert grid.row0 - grid.step_px / 2 == pytest.approx(MAPPED.row_c - reach)
+    assert grid.col0 + (grid.cols - 0.5) * grid.step_px == pytest.approx(MAPPED.col_c + reach)
+
+
+@pytest.mark.parametrize("distance", [None, 8.0, 14.0, 30.0])
+def test_what_is_known_agrees_with_the_camera(distance: float | None) -> None:
+    geometry = Geometry(20.0, distance, 50.0, MAPPED)
+    known = disc_map.geometry_maps(geometry, 6.0)
+    x, y, gain_x, _, cosine, pitch = known
+    grid = disc_map.map_grid(MAPPED)
+    rays = disc_rays(grid, geometry)
+    row, col = 40, 75
+    assert rays.inside[row, col]
+    points = skin_points(np.zeros(rays.inside.shape, dtype=np.float32), rays, geometry)
+    point = points[row, col].astype(float)
+    camera = np.array((0.0, 0.0, -(distance or 1e9)))
+    ray = (point - camera) / np.linalg.norm(point - camera)
+    assert cosine[row, col] == pytest.approx(ray @ point / 20.0, abs=2e-3)
+    assert x[row, col] == pytest.approx((grid.col0 + grid.step_px * col - MAPPED.col_c) / MAPPED.radius_px, abs=1e-6)
+    assert y[row, col] == pytest.approx((grid.row0 + grid.step_px * row - MAPPED.row_c) / MAPPED.radius_px, abs=1e-6)
+    assert pitch[0, 0] == pytest.approx(60 / MAPPED.radius_px)
+    moved = point - (0, 0, 0.01)
+    if distance is None:
+        assert gain_x[row, col] == 0
+    else:
+        shift_px = geometry.f_px * (moved[0] / (moved[2] + distance) - point[0] / (point[2] + distance))
+        unit_mm = 20 * np.sin(np.radians(50))
+        assert gain_x[row, col] == pytest.approx(shift_px / MAPPED.radius_px / 0.01 * unit_mm, rel=5e-3)
+
+
+SHAPE = (480, 640)
+
+
+def rim(disc: Disc, *degrees: float) -> list[tuple[float, float]]:
+    angles = [math.radians(angle) for angle in degrees]
+    return [
+        (disc.row_c + disc.radius_px * math.sin(angle), disc.col_c + disc.radius_px * math.cos(angle))
+        for angle in angles
+    ]
+
+
+@given(
+    row=st.floats(210, 270),
+    col=st.floats(210, 430),
+    radius=st.floats(LEAST_RADIUS_PX + 1, 200),
+    first=st.floats(0, 360),
+    second=st.floats(35, 150),
+    third=st.floats(35, 150),
+)
+def test_it_is_the_circle_whose_rim_was_clicked(
+    row: float, col: float, radius: float, first: float, second: float, third: float
+) -> None:
+    disc = Disc(row, col, radius)
+    found = circle_through(rim(disc, first, first + second, first + second + third), SHAPE)
+    assert (found.row_c, found.col_c, found.radius_px) == pytest.approx((row, col, radius), abs=1e-6)
+
+
+PIXEL = st.tuples(st.floats(-0.5, SHAPE[0] - 0.5), st.floats(-0.5, SHAPE[1] - 0.5))
+
+
+@given(st.lists(PIXEL, min_size=3, max_size=3))
+def test_whatever_is_clicked_is_refused_or_a_circle_through_it(points: list[tuple[float, float]]) -> None:
+    try:
+        disc = circle_through(points, SHAPE)
+    except ConfigError:
+        with pytest.raises(ConfigError, match=r"^three points: found [^\n]+, expected [^\n]+$"):
+            circle_through(points, SHAPE)
+        return
+    assert disc.radius_px >= LEAST_RADIUS_PX
+    assert rim_seen(SHAPE, disc) >= LEAST_RIM_SEEN
+    for k, (row, col) in enumerate(points):
+        assert math.hypot(row - disc.row_c, col - disc.col_c) == pytest.approx(disc.radius_px)
+        assert math.dist((row, col), points[k - 1]) >= LEAST_APART * disc.radius_px
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        ([(10, 10), (100, 100), (190, 190)], "points on one line"),
+        ([(10, 10), (10, 10), (190, 190)], "points on one line"),
+        ([(10, 10), (10, 10), (10, 10)], "points on one line"),
+        (
+            rim(Disc(240, 320, 200), 0, 20, 180),
+            "a distance of only 69 px between two points, expected at least 0.5 times the circle's radius of 200 px",
+        ),
+        (rim(Disc(240, 320, 20), 0, 120, 240), "a circle with a radius of 20 px, expected at least 33 px"),
+        (rim(Disc(240, -230, 280), -30, 0, 30), "a circle with 19 % of its rim in the image, expected at least 25 %"),
+        ([(-1, 10), (100, 100), (190, 10)], "a point at row -1, col 10, expected a point inside the 640x480 px image"),
+    ],
+)
+def test_clicks_that_make_no_circle_are_one_line(points: list[tuple[float, float]], said: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        circle_through(points, SHAPE)
+    assert str(refused.value).startswith(f"three points: found {said}")
+
+
+def test_of_a_circle_that_the_image_cuts_the_part_inside_counts() -> None:
+    assert rim_seen(SHAPE, Disc(240, 320, 200)) == 1
+    assert rim_seen(SHAPE, Disc(-0.0, 320, 200)) == pytest.approx(0.5, abs=0.01)
+    assert rim_seen(SHAPE, Disc(-300, 320, 200)) == 0
