@@ -95,8 +95,10 @@ PAGES = {
             "": f"{REAL} raw out/real/aerial_tactile_servoing",
             "Near-binary pictures": f"{REAL} binary out/real/tactip-cnn-bayes",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
+            "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
+            "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
         },
-        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|of 500 \||^(fast|balanced) \| (tilt|shear) ",
+        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|^(fast|balanced) \| (tilt|shear) ",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),
     "servo": Page(

@@ -221,18 +221,23 @@ class Margins:
                 to = self._usual if usual else self._refused
                 to.setdefault((each.judge, each.what), []).append(each)
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """A row for each figure: its limits, and the extremes of both kinds of frames on the side of the limit."""
+    def rows(self, near_only: bool = False) -> list[tuple[str, ...]]:
+        """A row for each figure: its limits, and the extremes of both kinds of frames on the side of the limit; with
+        `near_only` only for those that come within half of their limit.
+        """
         made: list[tuple[str, ...]] = []
         for key in dict.fromkeys((*self._usual, *self._refused)):
             usual, refused = self._usual.get(key, []), self._refused.get(key, [])
             one = (usual or refused)[0]
             far, near = (max, min) if math.isfinite(one.most) else (min, max)
+            reach = far(each.found for each in usual) if usual else math.nan
+            if near_only and not (reach > one.most / 2 if math.isfinite(one.most) else reach < one.least * 2):
+                continue
             made.append(
                 (
                     *key,
                     limits_of(one.least, one.most),
-                    f"{far(each.found for each in usual):.3g}" if usual else "-",
+                    f"{reach:.3g}" if usual else "-",
                     f"{near(each.found for each in refused):.3g}" if refused else "-",
                     str(len(refused)),
                 )

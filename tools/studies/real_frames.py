@@ -39,7 +39,7 @@ from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import Calibration, Disc, Frame
-from tools.studies.judges import LEAST_MM, Seen, seen
+from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen
 
 PROFILES = ("fast", "balanced", "accurate")
 SENSOR = Sensor(skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark")
@@ -264,12 +264,14 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
     all_seen: dict[str, list[Seen]] = {profile: [] for profile in profiles}
+    margins = Margins()
     for frame in frames:
         image = read_image(frame.path)
         for profile, one in made.items():
             result = one.step(Frame(0, 0, 0, image))
             rows[profile].append(found_row(frame.path.name, result))
             all_seen[profile].append(seen(one, image, result))
+            margins.add(one.measured(image), usual=result.reason is None)
     columns = (
         "profile",
         "refused",
@@ -280,6 +282,8 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
         "network overruled",
     )
     print(markdown(columns, [summary(frames, some, all_seen[profile]) for profile, some in rows.items()]))
+    if near := margins.rows(near_only=True):
+        print("\nFigures that come within half of a judge's limit\n\n" + markdown(MARGINS, near))
     figures = [line for some in rows.values() for line in followed(frames, some)]
     if figures:
         print("\n" + markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures))
