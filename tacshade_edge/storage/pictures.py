@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,12 @@ import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.reasons import text_of
+from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Geometry, HeightMap, Reconstruction
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_PX = 78
+TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
 PREVIEW_PX = 900  # greatest length of the map's longer side
 _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
 _LABEL_EVERY_PX = 46  # least distance between ticks
@@ -76,9 +78,9 @@ def colour_bar(height_px: int, top: float, label: str) -> U8:
     return paper
 
 
-def write_panel(path: Path, image: U8, result: Reconstruction, geometry: Geometry) -> None:
-    """Write `panel` as PNG. Raises DeviceError."""
-    ok, data = cv2.imencode(".png", panel(image, result, geometry))
+def write_picture(path: Path, picture: U8) -> None:
+    """Write a picture, uint8 BGR, as PNG. Raises DeviceError."""
+    ok, data = cv2.imencode(".png", picture)
     if not ok:
         raise DeviceError(f"{path}: cannot encode the picture")
     path.write_bytes(data.tobytes())
@@ -91,15 +93,8 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     """
     left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     rows, cols = left.shape[:2]
-    height, size = result.height.height_mm, (cols, rows)
-    top = max(float(np.nanmax(height, initial=0.0)), 0.1)
-    level = np.nan_to_num(np.clip(height / top, 0, 1) * 255).astype(np.uint8)
-    right = cv2.applyColorMap(_over_image(level, result.height, size, cv2.INTER_LINEAR), _COLOURS)
-    seen = _over_image(np.isfinite(height).astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
-    right[seen == 0] = 255
-    touched = _over_image(result.height.contact.astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
-    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(right, outlines, -1, (255, 255, 255), 1)
+    top = max(float(np.nanmax(result.height.height_mm, initial=0.0)), 0.1)
+    right = _coloured(result.height, (cols, rows), top)
     text = text_of(result.reason) or (
         f"{result.profile}: {len(result.objects)} objects, deepest {result.depth_max_mm:.2f} mm"
         f"{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
@@ -115,6 +110,41 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
         ]
     )
     return _with_legend(pictures, text)
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One picture of a contact sheet: its thumbnail, uint8 (H, W, 3) BGR, its map, and a line of text."""
+
+    thumbnail: U8
+    height: HeightMap
+    image_size_px: tuple[int, int]
+    text: str
+
+
+def tile(name: str, image: U8, result: Reconstruction) -> Tile:
+    """The tile of an image, uint8 (H, W) or (H, W, 3) BGR."""
+    grey, (rows, cols) = image.ndim == 2, image.shape[:2]
+    small = cv2.resize(image, (TILE_PX, max(round(rows * TILE_PX / cols), 1)), interpolation=cv2.INTER_AREA)
+    found = f"{result.depth_max_mm:.2f} mm" if result.contact else code_of(result.reason) or "no contact"
+    text = f"{name[-24:]}: {found}"
+    return Tile(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if grey else small, result.height, (cols, rows), text)
+
+
+def contact_sheet(tiles: Sequence[Tile]) -> U8:
+    """Pictures beside their maps, uint8 BGR, in `SHEET_COLUMNS` columns; all maps in the same colours."""
+    top = max(*(float(np.nanmax(each.height.height_mm, initial=0.0)) for each in tiles), 0.1)
+    drawn = []
+    for each in tiles:
+        rows, cols = each.thumbnail.shape[:2]
+        map_ = cv2.resize(_coloured(each.height, each.image_size_px, top), (cols, rows), interpolation=cv2.INTER_AREA)
+        whole = _with_legend(np.hstack([each.thumbnail, map_]), each.text)
+        drawn.append(cv2.copyMakeBorder(whole, 0, 4, 0, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
+    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % SHEET_COLUMNS)
+    sheet = np.vstack([np.hstack(drawn[k : k + SHEET_COLUMNS]) for k in range(0, len(drawn), SHEET_COLUMNS)])
+    bar = colour_bar(min(sheet.shape[0] - TOP_PX - BOTTOM_PX, 300), top, "h (mm)")
+    below = sheet.shape[0] - bar.shape[0]
+    return np.hstack([sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255))])
 
 
 def height_png(height_mm: F32) -> bytes:
@@ -160,6 +190,18 @@ def height_span_mm(z_mm: F32) -> tuple[float, float]:
     """The least and the greatest height in mm; zeros if nothing was touched."""
     low, high = float(np.fmin.reduce(z_mm, axis=None)), float(np.fmax.reduce(z_mm, axis=None))
     return (low, high) if math.isfinite(low) else (0.0, 0.0)
+
+
+def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
+    """A map over an image of `size` (width, height): colours from 0 to `top` mm, contact outlined, white outside."""
+    level = np.nan_to_num(np.clip(height.height_mm / top, 0, 1) * 255).astype(np.uint8)
+    picture = np.asarray(cv2.applyColorMap(_over_image(level, height, size, cv2.INTER_LINEAR), _COLOURS), np.uint8)
+    seen = _over_image(np.isfinite(height.height_mm).astype(np.uint8), height, size, cv2.INTER_NEAREST)
+    picture[seen == 0] = 255
+    touched = _over_image(height.contact.astype(np.uint8), height, size, cv2.INTER_NEAREST)
+    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outlines, -1, (255, 255, 255), 1)
+    return picture
 
 
 def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:

@@ -15,12 +15,16 @@ from tacshade_edge.storage.pictures import (
     LEFT_PX,
     PREVIEW_PX,
     RIGHT_PX,
+    SHEET_COLUMNS,
+    TILE_PX,
     TOP_PX,
     Axis,
+    contact_sheet,
     panel,
     preview,
     ticks,
-    write_panel,
+    tile,
+    write_picture,
 )
 from tacshade_edge.types import U8, Frame, Reconstruction
 from tools.testbed.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
@@ -78,8 +82,24 @@ def test_a_frame_of_another_size_is_shown_with_its_reason(tmp_path: Path) -> Non
     image = np.full((50, 70), 90, np.uint8)
     result = result_of(image)
     assert not result.valid
-    write_panel(tmp_path / "p.png", image, result, GEOMETRY)
+    write_picture(tmp_path / "p.png", panel(image, result, GEOMETRY))
     assert cv2.imread(str(tmp_path / "p.png")).shape[1] == 2 * (LEFT_PX + 70 + RIGHT_PX) + BAR_PX
+
+
+def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
+    images = [FREE, TOUCHED, BLACK, np.dstack([TOUCHED] * 3), FREE]
+    tiles = [tile(f"{k}", image, result_of(image)) for k, image in enumerate(images)]
+    free, touched, *others = (each.text.partition(": ")[2] for each in tiles)
+    assert (free, others) == ("no contact", ["black", touched, "no contact"])
+    assert touched.endswith(" mm")
+    sheet = contact_sheet(tiles)
+    high, wide = (sheet.shape[0] // 2, (sheet.shape[1] - BAR_PX) // SHEET_COLUMNS)
+    maps = [
+        sheet[(k // SHEET_COLUMNS) * high :][:high, (k % SHEET_COLUMNS) * wide + TILE_PX :][:, :TILE_PX]
+        for k in range(5)
+    ]
+    np.testing.assert_array_equal(maps[1][: high // 2], maps[3][: high // 2])
+    assert maps[1].max(initial=0, where=maps[1] < 255) > maps[0].max(initial=0, where=maps[0] < 255)
 
 
 def raster(rows: int, cols: int) -> Raster:

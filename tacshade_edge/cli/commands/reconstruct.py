@@ -19,9 +19,11 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import images_in, read_image
-from tacshade_edge.storage.pictures import write_panel
+from tacshade_edge.storage.pictures import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
 from tacshade_edge.storage.runs.run_files import summary
 from tacshade_edge.types import Frame, Reconstruction
+
+SHEET = "contact-sheet.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True)
-    parser.add_argument("--plot", action="store_true", help="also write a picture of each image's height map")
+    parser.add_argument(
+        "--plot",
+        action="store_true",
+        help=f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images",
+    )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     add_option(
         parser, "images", "IMG", "image, or folder whose images are taken in the order of their names", nargs="+"
@@ -46,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
         stems.add(path.stem)
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    records, unreadable, invalid, progress = [], 0, 0, Progress()
+    records, unreadable, invalid, progress, tiles = [], 0, 0, Progress(), list[Tile]()
+    on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}  # all, or evenly spread
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
         for index, path in enumerate(images):
@@ -59,12 +66,16 @@ def run(args: argparse.Namespace) -> int:
             result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
             _write(args.out / f"{path.stem}.npz", result)
             if args.plot:
-                write_panel(args.out / f"{path.stem}.png", image, result, calibration.geometry)
+                write_picture(args.out / f"{path.stem}.png", panel(image, result, calibration.geometry))
+                if index in on_sheet:
+                    tiles.append(tile(path.stem, image, result))
             records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
             if not result.valid:  # its record reports this too, and its height is 0 everywhere
                 progress.tell(f"{path}: invalid: {text_of(result.reason)}")
                 invalid += 1
             progress("images", index + 1, len(images))
+        if tiles:
+            write_picture(args.out / SHEET, contact_sheet(tiles))
         text = json.dumps(records, indent=2) + "\n"
         (args.out / "summary.json").write_text(text, encoding="utf-8")
     progress.end()

@@ -117,6 +117,7 @@ def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
         np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("balanced").rays.inside)
     for name in ("ball", "black"):
         assert cv2.imread(str(out / f"{name}.png")).shape[1] == 2 * (LEFT_PX + 320 + RIGHT_PX) + BAR_PX
+    assert cv2.imread(str(out / "contact-sheet.png")) is not None
     (tmp_path / "empty").mkdir()
     assert main([*words(folder, out), str(tmp_path / "empty")]) == 78
     assert "empty: found no image" in capsys.readouterr().err
