@@ -22,7 +22,7 @@ PREVIEW_PX = 900  # greatest length of the map's longer side
 _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
 _LABEL_EVERY_PX = 46  # least distance between ticks
 _LEGEND_PX = 22
-_BLACK = (0, 0, 0)
+_BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 _COLOURS = cv2.COLORMAP_VIRIDIS
 _UNTOUCHED_GREY = 225
 
@@ -134,17 +134,17 @@ def tile(name: str, image: U8, result: Reconstruction) -> Tile:
 def contact_sheet(tiles: Sequence[Tile]) -> U8:
     """Pictures beside their maps, uint8 BGR, in `SHEET_COLUMNS` columns; all maps in the same colours."""
     top = max(*(float(np.nanmax(each.height.height_mm, initial=0.0)) for each in tiles), 0.1)
-    drawn = []
+    drawn, tallest = [], max(len(each.thumbnail) for each in tiles)
     for each in tiles:
         rows, cols = each.thumbnail.shape[:2]
         map_ = cv2.resize(_coloured(each.height, each.image_size_px, top), (cols, rows), interpolation=cv2.INTER_AREA)
         whole = _with_legend(np.hstack([each.thumbnail, map_]), each.text)
-        drawn.append(cv2.copyMakeBorder(whole, 0, 4, 0, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
+        drawn.append(cv2.copyMakeBorder(whole, 0, 4 + tallest - rows, 0, 4, cv2.BORDER_CONSTANT, value=_WHITE))
     drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % SHEET_COLUMNS)
     sheet = np.vstack([np.hstack(drawn[k : k + SHEET_COLUMNS]) for k in range(0, len(drawn), SHEET_COLUMNS)])
     bar = colour_bar(min(sheet.shape[0] - TOP_PX - BOTTOM_PX, 300), top, "h (mm)")
     below = sheet.shape[0] - bar.shape[0]
-    return np.hstack([sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255))])
+    return np.hstack([sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)])
 
 
 def height_png(height_mm: F32) -> bytes:
@@ -154,10 +154,10 @@ def height_png(height_mm: F32) -> bytes:
     picture = cv2.applyColorMap(level, _COLOURS)
     picture[~np.isfinite(height_mm)] = 255
     picture = cv2.resize(picture, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
-    white, sides = (255, 255, 255), (TOP_PX, BOTTOM_PX, 0, 0)
+    sides = TOP_PX, BOTTOM_PX, 0, 0
     whole = np.hstack(
         [
-            cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=white),
+            cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=_WHITE),
             colour_bar(len(picture), top, "h (mm)"),
         ]
     )
@@ -200,7 +200,7 @@ def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
     picture[seen == 0] = 255
     touched = _over_image(height.contact.astype(np.uint8), height, size, cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, (255, 255, 255), 1)
+    cv2.drawContours(picture, outlines, -1, _WHITE, 1)
     return picture
 
 
