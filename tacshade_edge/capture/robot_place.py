@@ -1,8 +1,11 @@
-"""Place and depth of a press, from the poses of a robot that presses the sensor onto a fixed indenter."""
+"""What a robot's poses tell of a press: place and depth on a fixed indenter, or labels relative to first touch."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.machine import FixedIndenter, Touch, fixed_indenter
@@ -21,15 +24,27 @@ Name = tuple[str, str]
 """Indenter and radius, as in PRESSES.csv."""
 
 
-class RobotPlaces:
-    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others. `sensor`:
-    has ``flange_T_sensor``.
-    """
+class _Held:
+    """A sensor with ``flange_T_sensor`` that a robot holds."""
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
         self._skin_radius_mm = sensor.skin_radius_mm
         self._flange_T_sensor = from_seven(sensor.flange_T_sensor)
         self._pose_at = pose_at
+
+    def _base_T_sensor(self, frame: Frame) -> Rigid:
+        """The sensor's pose in the robot's base frame. Raises ConfigError with the reason if it is unknown."""
+        pose = self._pose_at(frame)
+        if isinstance(pose, str):
+            raise ConfigError(pose)
+        return of_pose(pose) @ self._flange_T_sensor
+
+
+class RobotPlaces(_Held):
+    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others."""
+
+    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+        super().__init__(sensor, pose_at)
         self._fixed: dict[Name, FixedIndenter] = {}
 
     def known(self, name: Name) -> bool:
@@ -64,12 +79,45 @@ class RobotPlaces:
             raise ConfigError(f"the robot's pose: {error}") from None
         return *name, f"{touch.depth_mm:.3f}", f"{touch.x_mm:.3f}", f"{touch.y_mm:.3f}"
 
-    def _base_T_sensor(self, frame: Frame) -> Rigid:
-        return base_T_sensor(self._pose_at(frame), self._flange_T_sensor)
+
+class RobotLabels(_Held):
+    """Labels relative to the pose at first touch."""
+
+    _first: Rigid | None = None
+
+    @property
+    def knows_first_touch(self) -> bool:
+        """Whether the person has confirmed the first touch."""
+        return self._first is not None
+
+    def confirm_first_touch(self, frame: Frame) -> None:
+        """Keep the pose of a frame in which the skin just touches. Raises ConfigError."""
+        self._first = self._base_T_sensor(frame)
+
+    def labels(self, frame: Frame) -> dict[str, float]:
+        """Return the labels of `labels_between`; none before the first touch is confirmed. Raises ConfigError."""
+        if self._first is None:
+            return {}
+        return labels_between(self._first, self._base_T_sensor(frame), self._skin_radius_mm)
 
 
-def base_T_sensor(pose: Pose | str, flange_T_sensor: Rigid) -> Rigid:
-    """Return the sensor's pose in the robot's base frame. Raises ConfigError with the reason if it is unknown."""
-    if isinstance(pose, str):
-        raise ConfigError(pose)
-    return of_pose(pose) @ flange_T_sensor
+def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:
+    """Return depth, tilt, shear and twist of an object that stands still, relative to the first touch.
+
+    With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now at q = now_T_first
+    (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is
+    R_y(tilt_y) R_x(tilt_x) R_z(twist).
+
+    `first`, `now`: ``base_T_sensor``. `skin_radius_mm`: r.
+    """
+    moved = now.inverse() @ first
+    x, y, z = moved.apply(np.array((0.0, 0.0, skin_radius_mm))).tolist()
+    turned = moved.rotation
+    return {
+        "depth_mm": skin_radius_mm - z,
+        "tilt_x_deg": -math.degrees(math.asin(max(-1.0, min(1.0, turned[1, 2])))),
+        "tilt_y_deg": math.degrees(math.atan2(turned[0, 2], turned[2, 2])),
+        "shear_x_mm": x,
+        "shear_y_mm": y,
+        "twist_deg": math.degrees(math.atan2(turned[1, 0], turned[1, 1])),
+    }

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.capture.advice import Advice
 from tacshade_edge.capture.live import STILL_FRAMES, Live
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
 from tacshade_edge.capture.terminal import Terminal
@@ -16,7 +15,7 @@ from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
-from tacshade_edge.core.calibration.quality import GRADED_PROFILE
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE, advice
 from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
@@ -30,7 +29,52 @@ from tacshade_edge.storage.tables.capture_folder import (
     stated,
 )
 from tacshade_edge.storage.tables.presses import BALL, known_press
+from tacshade_edge.storage.tables.tables import number
 from tacshade_edge.types import U8, Calibration, Frame
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """A press as `coverage.Pressed` requires it."""
+
+    place_mm: tuple[float, float]
+    depth_mm: float
+    radius_mm: float
+    indenter: str
+
+
+class Advice:
+    """Advice on the next press; it caches each press's place, which may have to be found in the picture. `indenters`:
+    from INDENTERS.yaml.
+    """
+
+    def __init__(self, folder: CaptureFolder, indenters: Mapping[str, Indenter | float]) -> None:
+        self._folder = folder
+        self._indenters = indenters
+        self._known: dict[TakenPress, _Taken] = {}
+
+    def text(self, taken: Sequence[TakenPress], check: PressCheck) -> str:
+        """Return one line of advice; empty before the first press. Raises ConfigError (the table has something other
+        than a number, or a picture cannot be read).
+        """
+        # Forget a press that was undone: another picture may get its name.
+        self._known = {press: self._known.get(press) or self._look_at(press, check) for press in taken}
+        return advice(list(self._known.values()), check.geometry) if taken else ""
+
+    def _look_at(self, press: TakenPress, check: PressCheck) -> _Taken:
+        indenter, radius_text, depth_text, x_text, y_text, *_ = press.stated.columns
+        depth_mm = number(press.image, "depth_mm", depth_text)
+        if x_text:
+            place_mm = number(press.image, "x_mm", x_text), number(press.image, "y_mm", y_text)
+        else:
+            place_mm = check.located_mm(self._folder.picture(press), depth_mm)
+        known = self._indenters.get(indenter)
+        if indenter == BALL:
+            return _Taken(place_mm, depth_mm, number(press.image, "radius_mm", radius_text), "")
+        if isinstance(known, float):
+            return _Taken(place_mm, depth_mm, known, "")
+        return _Taken(place_mm, depth_mm, 0.0, indenter)
+
 
 REFERENCES = STILL_FRAMES
 REFERENCES_S = 3.0

@@ -16,7 +16,7 @@ import numpy as np
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.hand import Finger, HandScript, Placement, follow, lathed
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.parallel import workers
 
 HAND_ID: Final = "demo"

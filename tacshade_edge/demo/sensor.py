@@ -5,8 +5,8 @@ from __future__ import annotations
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import Calibration
 
 REFERENCES, PRESSES = 5, 20

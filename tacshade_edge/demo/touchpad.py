@@ -19,7 +19,7 @@ from tacshade_edge.rigid import Rigid
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.pad import Arc, Bar, Dot, Pad, scan
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.storage.tables.frame_table import HEADER, TABLE_NAME
 
 SENSOR_ID: Final = "demo-map"

@@ -1,6 +1,6 @@
 """Parts of the simulator, compiled: a twin needs thousands of skins and pictures.
 
-The membrane (`simulator.relaxation.solve`), what pixels see (`simulator.truth.skin_points`), and how material points
+The membrane (`simulator.skin.solve`), what pixels see (`simulator.truth.skin_points`), and how material points
 move (`simulator.render.carried`, `simulator.truth.shear_mm`).
 """
 

@@ -32,8 +32,16 @@ from tacshade_edge.fitting.pins import (
     sphere_points,
 )
 from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.simulator.prints import CAP, FRUSTUM, PinProfile, Print, equal_area_to_direction, print_at
-from tacshade_edge.simulator.render import Renderer, project
+from tacshade_edge.simulator.render import (
+    CAP,
+    FRUSTUM,
+    PinProfile,
+    Print,
+    Renderer,
+    equal_area_to_direction,
+    print_at,
+    project,
+)
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.types import F32, F64, U8, Calibration
 

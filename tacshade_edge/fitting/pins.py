@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tacshade_edge.core.geometry.disc import disc_mask
-from tacshade_edge.simulator.prints import equal_area_to_direction
-from tacshade_edge.simulator.render import project
+from tacshade_edge.simulator.render import equal_area_to_direction, project
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 
 NOMINAL_PITCHES = 1.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,12 +13,123 @@ from torch.nn import functional
 
 from tacshade_edge.core.depth.learned import HEIGHT_SCALE
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.fitting.loss import COARSE_CELLS, depth_loss, shear_loss, split_output
 from tacshade_edge.fitting.torch_network import TorchNetwork
-from tacshade_edge.fitting.torn import spoil
 from tacshade_edge.fitting.twin import HALVED, WHOLE, Frames
 from tacshade_edge.inference.network import SHEAR, network_size
 from tacshade_edge.types import Calibration
+
+MOVED_CELLS = (0.6, 14.0)
+"""How far the picture moves if the camera moved, as in about a fifth of the spoilt frames."""
+
+
+def spoil(
+    maps: Tensor, references: Tensor, height: Tensor, contact: Tensor, part: float, rng: np.random.Generator
+) -> Tensor:
+    """Spoil part of a batch in place; cells that no longer show the skin lose their depth and contact.
+
+    `maps`, `references`, `height`, `contact`: white of the frames and of their sensors at rest, and the frames' true
+    height and contact. `part`: share of the frames to spoil. Returns (Tensor (B, cells, cells)): 1 where a cell does
+    not show the sensor's skin.
+    """
+    cells, device = maps.shape[-1], maps.device
+    axis = (torch.arange(cells, device=device) + 0.5 - cells / 2) * (2 * disc_map.REACH / cells)
+    inside = ((axis[:, None] ** 2 + axis[None, :] ** 2) <= 1).float()
+    untrusted = torch.zeros_like(maps)
+    frames = np.flatnonzero(rng.random(len(maps)) < part)
+    if not len(frames):
+        return untrusted
+    drawn = [_draw(int(k), len(maps), cells, rng) for k in frames]
+    source, rows, cols, torn = (torch.from_numpy(np.stack(each)).to(device) for each in zip(*drawn, strict=True))
+    index, torn = torch.from_numpy(frames).to(device), torn[:, :, None]
+    spoiled = _moved(torch.cat((maps, references))[source], rows, cols)
+    maps[index] = torch.where(torn, spoiled, maps[index]) * inside
+    untrusted[index] = torn * inside
+    height *= 1 - untrusted
+    contact *= 1 - untrusted
+    return untrusted
+
+
+def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Draw what frame `k` shows: the picture (a frame, or from `frames` on a reference), its rows and columns.
+
+    The last array holds which of the frame's rows show it.
+    """
+    row, size = max(int(rng.integers(-cells // 4, int(0.85 * cells))), 0), int(rng.integers(3, cells // 2))
+    source, kind = k, int(rng.integers(5))
+    end = cells if rng.random() < 0.7 else min(cells, row + int(rng.integers(6, cells)))
+    rows, cols = np.arange(cells, dtype=np.float32), np.arange(cells, dtype=np.float32)
+    if kind == 0:  # the remaining rows move sideways
+        cols = np.roll(cols, size * int(rng.choice((-1, 1))))
+    elif kind == 1:  # one row repeats
+        rows = np.full_like(rows, row)
+    elif kind == 2:  # the remaining rows move down
+        rows = np.roll(rows, size)
+    elif kind == 3:  # the remaining rows come from another sensor
+        source = int(rng.integers(frames))
+    else:  # the camera moved against its housing; copies of the outermost cells fill the gap
+        far, angle = math.exp(rng.uniform(*np.log(MOVED_CELLS))), rng.uniform(0, 2 * math.pi)
+        source = k if rng.random() < 0.5 else frames + k
+        row, end = 0, cells
+        rows, cols = rows - np.float32(far * math.cos(angle)), cols - np.float32(far * math.sin(angle))
+    number = np.arange(cells)
+    return np.array(source), rows.clip(0, cells - 1), cols.clip(0, cells - 1), (number >= row) & (number < end)
+
+
+def _moved(pictures: Tensor, rows: Tensor, cols: Tensor) -> Tensor:
+    """Take other rows and columns of pictures (P, cells, cells), whose numbers (P, cells) may be fractions."""
+    for number, dim in ((rows, 1), (cols, 2)):
+        low = number.floor()
+        part = (number - low).unsqueeze(3 - dim)
+        first, second = (
+            pictures.gather(dim, each.long().clamp(max=pictures.shape[dim] - 1).unsqueeze(3 - dim).expand_as(pictures))
+            for each in (low, low + 1)
+        )
+        pictures = first + (second - first) * part
+    return pictures
+
+
+COARSE_CELLS = 28
+"""Cells along a side of the maps of shear and of untrusted cells."""
+UNTRUSTED_WEIGHT = 0.5
+
+
+def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
+    """Split a network's output into height and contact logits (B, cells, cells)."""
+    y = functional.pixel_shuffle(y.float(), fold)
+    return y[:, 0], y[:, 1]
+
+
+def depth_loss(
+    outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor
+) -> Tensor:
+    """Sum the losses of height and its slope (weighted higher in contact), of contact, and of untrusted cells."""
+    y, odds = outputs
+    found, logit = split_output(y, fold)
+    top = height.amax((1, 2), keepdim=True)
+    weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
+    off = found - height
+    level = (weight * off.abs()).mean()
+    slope = (weight[:, 1:] * (off[:, 1:] - off[:, :-1]).abs()).mean()
+    slope = slope + (weight[:, :, 1:] * (off[:, :, 1:] - off[:, :, :-1]).abs()).mean()
+    edge = functional.binary_cross_entropy_with_logits(logit, contact)
+    p = torch.sigmoid(logit)
+    dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
+    seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
+    strange = functional.binary_cross_entropy_with_logits(odds.float(), 1 - seen)
+    return level + 1.5 * slope + edge + 0.15 * dice.mean() + UNTRUSTED_WEIGHT * strange
+
+
+def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor) -> Tensor:
+    """Compute the loss of shear where the skin is visible, weighted higher in contact."""
+    touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
+    seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
+    off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
+    return ((0.3 + 4 * touching) * off).mean()
+
+
+LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "shear": shear_loss}
+"""The loss of each of `network.NETS`, from its output, its fold and the true maps."""
+
 
 BATCH, AT_ONCE = 24, 12
 """The gradient of a batch is summed over parts, which halves the memory."""

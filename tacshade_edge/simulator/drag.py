@@ -24,18 +24,20 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.load import Load, summed
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, distances_mm
-from tacshade_edge.simulator.relaxation import finer, slid
 from tacshade_edge.simulator.skin import (
+    Load,
     Skin,
     chart_to_direction,
     direction_to_chart,
+    finer,
     mass_weight,
     net_pull,
     node_directions,
     obstacle_of,
+    slid,
+    summed,
     undeformed,
 )
 from tacshade_edge.types import F32, F64, I64, Slip

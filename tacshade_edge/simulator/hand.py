@@ -22,10 +22,9 @@ import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
 from tacshade_edge.simulator.drag import loads_of, slip_of
-from tacshade_edge.simulator.load import Load
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, Shape, polygon
-from tacshade_edge.simulator.skin import Skin, node_directions
+from tacshade_edge.simulator.skin import Load, Skin, node_directions
 from tacshade_edge.types import F64, Slip
 
 _ROUNDING_MM = 2.0  # of the edges of objects to hold

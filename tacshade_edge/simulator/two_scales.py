@@ -12,8 +12,7 @@ import numpy as np
 from tacshade_edge.simulator.drag import Contacts, Mechanics
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.relaxation import solve
-from tacshade_edge.simulator.skin import Skin, Solver, press_skin
+from tacshade_edge.simulator.skin import Skin, Solver, press_skin, solve
 from tacshade_edge.types import F32, F64
 
 _RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))

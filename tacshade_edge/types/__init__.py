@@ -1,6 +1,5 @@
 """The values that the layers pass to each other. Frozen; every array in them is read-only."""
 
-from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze, frozen
 from tacshade_edge.types.calibration import (
     TOUCH_ARRAYS,
     Binarisation,
@@ -11,8 +10,22 @@ from tacshade_edge.types.calibration import (
     ProfileFit,
     TouchModel,
 )
-from tacshade_edge.types.frame import IDENTITY_POSE, Frame, Pose
-from tacshade_edge.types.geometry import Disc, Geometry
+from tacshade_edge.types.geometry import (
+    F32,
+    F64,
+    I32,
+    I64,
+    IDENTITY_POSE,
+    U8,
+    U16,
+    Bool,
+    Disc,
+    Frame,
+    Geometry,
+    Pose,
+    freeze,
+    frozen,
+)
 from tacshade_edge.types.reconstruction import (
     QUANTITIES,
     HeightMap,

@@ -13,9 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_type_hints
 import numpy as np
 from msgspec import Meta
 
-from tacshade_edge.types.arrays import F32, U8, freeze
-from tacshade_edge.types.frame import IDENTITY_POSE
-from tacshade_edge.types.geometry import Disc, Geometry
+from tacshade_edge.types.geometry import F32, IDENTITY_POSE, U8, Disc, Geometry, freeze
 
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]

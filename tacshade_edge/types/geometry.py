@@ -1,9 +1,73 @@
-"""Skin, camera and visible circle."""
+"""Arrays by element and records of read-only arrays; a camera's image and its pose; skin, camera and visible circle."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar, dataclass_transform
+
+import numpy as np
+import numpy.typing as npt
+
+U8 = npt.NDArray[np.uint8]
+U16 = npt.NDArray[np.uint16]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+
+Record = TypeVar("Record")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def frozen(cls: type[Record]) -> type[Record]:
+    """Make a frozen dataclass with slots, equal only to itself, whose arrays are read-only views."""
+    names = tuple(cls.__annotations__)
+
+    def __post_init__(self: Record) -> None:
+        freeze(self, *(name for name in names if isinstance(getattr(self, name), np.ndarray)))
+
+    cls.__post_init__ = __post_init__  # type: ignore[attr-defined]
+    return dataclass(frozen=True, slots=True, eq=False)(cls)
+
+
+def freeze(value: object, *names: str) -> None:
+    """Replace the named array attributes by read-only views."""
+    for name in names:
+        view = getattr(value, name).view()
+        view.setflags(write=False)
+        object.__setattr__(value, name, view)
+
+
+IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """``base_T_flange`` at a time: translation in mm and the unit quaternion w, x, y, z."""
+
+    t_ns: int
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    qw: float
+    qx: float
+    qy: float
+    qz: float
+
+
+@frozen
+class Frame:
+    """One image of the sensor's camera, uint8 (H, W) grey or (H, W, 3) BGR."""
+
+    seq: int  # counts the frames of this source from 0; a gap marks frames that the source knows it lost
+    t_ns: int  # capture time, CLOCK_MONOTONIC
+    wall_ns: int  # the same instant as Unix time, for metadata only
+    image: U8
+    pose: Pose | None = None  # ``base_T_flange`` at `t_ns`, if known
+    pose_error_us: int = 0  # greatest difference between `t_ns` and the pose's time; 0 without a pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from enum import Flag, IntEnum
 import numpy as np
 
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types.arrays import F32, U16, Bool, frozen
+from tacshade_edge.types.geometry import F32, U16, Bool, frozen
 
 QUANTITIES = (
     *("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg", "x_mm", "y_mm", "edge_deg"),

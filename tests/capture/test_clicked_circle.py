@@ -16,7 +16,7 @@ from support.person import person
 from support.shown_page import NEEDS_A_BROWSER, js, shows
 
 from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import Disc
 from tools.testbed.patience import wait_until
 

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tacshade_edge.capture.labels.clock_offset import ERROR_MOST_S, PRESSES_LEAST, Press, find_offset
-from tacshade_edge.capture.labels.robot_labels import labels_between
-from tacshade_edge.capture.labels.scale import Scale, force_at, scale_port
+from tacshade_edge.capture.robot_place import labels_between
+from tacshade_edge.capture.scale import ERROR_MOST_S, PRESSES_LEAST, Press, Scale, find_offset, force_at, scale_port
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
@@ -150,7 +149,7 @@ def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.
         assert scale.median_n(0)[0] == pytest.approx(0.237776, abs=1e-6)
         assert np.isnan(scale.median_n(t_s[-1] + 1)).all()
         scale.check()
-        monkeypatch.setattr("tacshade_edge.capture.labels.scale.READINGS_MAX", 4)
+        monkeypatch.setattr("tacshade_edge.capture.scale.READINGS_MAX", 4)
         with pytest.raises(DeviceError, match="reached the limit of 4 readings per run"):
             scale.check()
     finally:
@@ -166,7 +165,7 @@ def test_force_between_readings() -> None:
 
 def test_a_scale_that_says_nothing_of_use(line: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
     master, name = line
-    monkeypatch.setattr("tacshade_edge.capture.labels.scale._SILENT_S", 0.0)
+    monkeypatch.setattr("tacshade_edge.capture.scale._SILENT_S", 0.0)
     scale = Scale(scale_port(f"{name}:4800"))
     scale.open()
     try:

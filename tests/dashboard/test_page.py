@@ -41,8 +41,8 @@ from support.shown_page import (
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import codec, messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import Reconstruction, Slip, Touch
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until

@@ -132,7 +132,7 @@ def _report(*errors: float | None) -> NetworkReport:
 
 
 def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
-    from tacshade_edge.fitting.judging import on_presses
+    from tacshade_edge.fitting.fit import on_presses
     from tacshade_edge.inference.network import load_network
 
     found = on_presses(calibrated(), PROFILES["fast"], load_network("fast"), presses()[:6])

@@ -8,7 +8,7 @@ import pytest
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.simulator import relaxation, truth
+from tacshade_edge.simulator import skin, truth
 from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
@@ -82,4 +82,4 @@ def test_compiled_parts_agree_with_the_simulator(dragged: Skin) -> None:
     np.testing.assert_allclose(compiled.shear_mm(dragged, points, 0.9), shear, atol=6e-3)
     obstacle = rng.uniform(-1, 1, (60, 60)).clip(0).astype(np.float32)
     mass = np.full((60, 60), 0.02, np.float32)
-    np.testing.assert_allclose(compiled.solve(obstacle, mass), relaxation.solve(obstacle, mass), atol=5e-3)
+    np.testing.assert_allclose(compiled.solve(obstacle, mass), skin.solve(obstacle, mass), atol=5e-3)

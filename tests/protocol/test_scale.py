@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from tacshade_edge.protocol.scale import parse_reading
+from tacshade_edge.capture.scale import parse_reading
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 
 
 @pytest.fixture(scope="session")

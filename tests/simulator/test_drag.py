@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 from tacshade_edge.simulator.drag import drag_skin, leant_mm
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.relaxation import slid, solve
 from tacshade_edge.simulator.render import carried
-from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin
-from tacshade_edge.simulator.truth import shear_mm
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin, slid, solve
+from tacshade_edge.simulator.truth import SimulatedSensor, shear_mm
 from tacshade_edge.types import F32, F64
 
 pytestmark = pytest.mark.slow

@@ -30,7 +30,7 @@ from tacshade_edge.simulator.hand import (
     sphere,
 )
 from tacshade_edge.simulator.press import Shape
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import F64, Slip
 from tools.testbed.simulator.families import OtherSensor, other_model
 

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from tacshade_edge.simulator.model import SensorModel, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press, ball, distance_mm
-from tacshade_edge.simulator.prints import print_features
-from tacshade_edge.simulator.render import Renderer, _on_skin, carried, project
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.render import Renderer, _on_skin, carried, print_features, project
 from tacshade_edge.simulator.skin import press_skin, undeformed
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import F32
 
 MODEL = replace(SensorModel(), specular_spots=0, read_noise_grey=0.0, shot_noise_grey=0.0)

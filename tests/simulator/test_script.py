@@ -12,11 +12,11 @@ from support.examples import examples
 from tacshade_edge.rigid import turn
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.drag import SLIDES, loads_of
-from tacshade_edge.simulator.load import summed
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.scene import SimulatedSensor, skin_under
 from tacshade_edge.simulator.script import Drag, Script, ball_presses, demonstration
+from tacshade_edge.simulator.skin import summed
+from tacshade_edge.simulator.truth import SimulatedSensor, skin_under
 
 
 def test_a_turn_is_pause_approach_hold_release() -> None:

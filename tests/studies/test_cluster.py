@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.studies import cluster
+from tacshade_edge.studies import parallel
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate
 from tacshade_edge.studies.parallel import Workers, processes, workers
@@ -86,7 +86,7 @@ def die(task: int) -> int:
 def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", patience(30))
+    monkeypatch.setattr(parallel, "CONNECT_S", patience(30))
     with processes() as pool:
         expected = evaluated(pool)
     with four_workers(tmp_path) as (address, started):
@@ -101,7 +101,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
         with pytest.raises(ConfigError, match="sensor 1: no"), workers(address) as pool:
             list(pool.map(refuse, [1]))
         with monkeypatch.context() as patch:
-            patch.setattr(cluster, "checksum", lambda package: 0)
+            patch.setattr(parallel, "checksum", lambda package: 0)
             with pytest.raises(ConfigError, match="another tacshade_edge in"), workers(address) as pool:
                 list(pool.map(where, [1]))
         with monkeypatch.context() as patch:
@@ -111,7 +111,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
         with pytest.raises(DeviceError, match="one job killed 2 workers"), workers(address) as pool:
             list(pool.map(die, [1]))
         with monkeypatch.context() as patch:
-            patch.setattr(cluster, "CONNECT_S", 2.0)
+            patch.setattr(parallel, "CONNECT_S", 2.0)
             with pytest.raises(DeviceError, match="found no worker"), workers(address) as pool:
                 list(pool.map(die, [1]))  # the last one
 
@@ -119,7 +119,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
 @needs_dask
 @pytest.mark.slow
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    monkeypatch.setattr(parallel, "CONNECT_S", 0.5)
     with pytest.raises(DeviceError, match=r"cluster tcp://127\.0\.0\.1:1: no Dask scheduler answered"):
         workers("tcp://127.0.0.1:1").__enter__()
     with pytest.raises(ConfigError, match=r"found 'carrier pigeon://x', expected tcp://HOST:8786"):

@@ -16,9 +16,18 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.studies.evaluate.own_images import evaluate_images, read_images, read_truth
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, contact_iou, score, score_cloud
+from tacshade_edge.studies.evaluate.score import (
+    KnownTruth,
+    Label,
+    Row,
+    between_pixels,
+    contact_iou,
+    read_truth,
+    score,
+    score_cloud,
+)
 from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.evaluate.work import evaluate_images, read_images
 from tacshade_edge.types import F32, Bool, Frame, HeightMap, Reconstruction
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 

@@ -8,7 +8,7 @@ import pytest
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
+from tacshade_edge.studies.evaluate.work import one_thread, stages_ms, work_ns
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 

@@ -14,8 +14,8 @@ from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
-from tacshade_edge.studies.evaluate.own_images import read_images
 from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.work import read_images
 from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tradeoff import measure
 from tacshade_edge.studies.tradeoff.grid import DENOISERS, WORDS, Setting, grid, make

@@ -16,8 +16,8 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from support.calibrated_sensor import HALF
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
 
 HALF_SENSOR = SensorName("half", None)

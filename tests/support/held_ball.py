@@ -11,7 +11,7 @@ import numpy as np
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.hand import Finger
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 
 BALL_MM, DEPTH_MM = 40.0, 1.5
 HOME = Rigid(np.eye(3), np.zeros(3))

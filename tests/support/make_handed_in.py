@@ -14,7 +14,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration

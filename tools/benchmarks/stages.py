@@ -26,7 +26,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
-from tacshade_edge.studies.stage_times import stages_ms
+from tacshade_edge.studies.evaluate.work import stages_ms
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 

@@ -28,7 +28,7 @@ from tacshade_edge.core.calibration.observation import (
     observe_press,
 )
 from tacshade_edge.core.calibration.presses.press_check import PressViewer, as_seen, question
-from tacshade_edge.core.calibration.presses.press_outliers import outliers
+from tacshade_edge.core.calibration.presses.press_selection import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
 from tacshade_edge.core.calibration.skin_scale import skin_scale
@@ -41,8 +41,8 @@ from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
 from tools.studies import command

@@ -19,8 +19,7 @@ import numpy as np
 from tacshade_edge.core.contact.objects import about_mean, rigid_motions
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.scene import SimulatedFrame
-from tacshade_edge.simulator.truth import Truth
+from tacshade_edge.simulator.truth import SimulatedFrame, Truth
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import SensorName, family_of, reconstructor
 from tacshade_edge.studies.tables import grouped, new_figure, png, summary

@@ -23,8 +23,8 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.drag import SLIDES
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin
+from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
 from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
 from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame

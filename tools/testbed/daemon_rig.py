@@ -64,8 +64,8 @@ def draw_rings(folder: Path) -> None:
     """
     # Here, since a daemon that imports this module draws nothing.
     from tacshade_edge.simulator.press import Press, ball
-    from tacshade_edge.simulator.scene import SimulatedSensor
     from tacshade_edge.simulator.script import Script
+    from tacshade_edge.simulator.truth import SimulatedSensor
 
     script = Script((Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1)
     sensor = SimulatedSensor(None)

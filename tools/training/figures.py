@@ -9,8 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from tacshade_edge.fitting.loss import split_output
-from tacshade_edge.fitting.torn import spoil
+from tacshade_edge.fitting.training import split_output, spoil
 from tools.training.data import Data, batch
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 

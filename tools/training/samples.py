@@ -27,8 +27,7 @@ from tacshade_edge.fitting.skins import (
 from tacshade_edge.fitting.twin import on_dome
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.prints import CAP, PinProfile, lattice_print, print_features
-from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.simulator.render import CAP, PinProfile, Renderer, lattice_print, print_features
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.simulator.two_scales import TURNING
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry

@@ -31,8 +31,7 @@ from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from tacshade_edge.fitting.loss import LOSSES
-from tacshade_edge.fitting.torn import spoil
+from tacshade_edge.fitting.training import LOSSES, spoil
 from tools.training.data import Data, batch, joined, load, other_looks, shards_in
 from tools.training.figures import FIGURES, halved
 from tools.training.kinds import KINDS, SHARES

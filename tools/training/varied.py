@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.prints import PinProfile, Print, print_at, reach_mm
+from tacshade_edge.simulator.render import PinProfile, Print, print_at, reach_mm
 from tacshade_edge.types import F64
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))

@@ -12,15 +12,14 @@ from collections.abc import Callable, Iterator, Mapping
 import msgspec
 import yaml
 
-from tacshade_edge.capture.labels.robot_labels import RobotLabels
-from tacshade_edge.capture.labels.scale import BAUD, Scale, scale_port
-from tacshade_edge.capture.labels.session import LabelSession
+from tacshade_edge.capture.label_session import LabelSession
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.printer.line import PrinterLine
 from tacshade_edge.capture.printer.plan import planned_presses
 from tacshade_edge.capture.printer.pressing import Pressing
-from tacshade_edge.capture.robot_place import PoseAt, RobotPlaces
+from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
+from tacshade_edge.capture.scale import BAUD, Scale, scale_port
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.cli.shared.options import add_option, add_sensor

@@ -23,11 +23,10 @@ from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
 from tacshade_edge.studies.evaluate import labelled as labels
 from tacshade_edge.studies.evaluate import picture, report
-from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.report import figures
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, reconstructor
-from tacshade_edge.studies.evaluate.work import Plan, Timing, evaluate, time_profiles
+from tacshade_edge.studies.evaluate.work import Plan, Timing, evaluate, evaluate_images, time_profiles
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Calibration, Frame

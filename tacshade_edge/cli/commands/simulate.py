@@ -23,8 +23,8 @@ from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
-from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import png
 from tacshade_edge.storage.tables import frame_table, presses

@@ -9,8 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.calibration.observation import position_mae_mm
-from tacshade_edge.core.calibration.presses.press_outliers import agreement_mae_mm
-from tacshade_edge.core.calibration.presses.press_selection import select_presses
+from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, select_presses
 from tacshade_edge.core.calibration.presses.table_check import travel_mistake, zero_hint
 from tacshade_edge.core.calibration.quality import (
     AGREEMENT_FAIR_MM,

@@ -8,8 +8,8 @@ from typing import Protocol
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
+from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import U8, Frame
 
 

@@ -14,8 +14,8 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration
 

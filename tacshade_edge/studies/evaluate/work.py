@@ -5,16 +5,22 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, score
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, read_truth, score
 from tacshade_edge.studies.evaluate.sensors import (
     NULL_NOISE,
     PRESSES,
@@ -26,8 +32,42 @@ from tacshade_edge.studies.evaluate.sensors import (
     reconstructor,
 )
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
-from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import U8, Calibration, Frame
+
+work_ns = time.thread_time_ns
+"""Processor time of this thread in ns: on an otherwise idle machine, the elapsed time."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV to one thread."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def stages_ms(
+    made: Reconstructor, frame: Frame, clock_ns: Callable[[], int] = time.perf_counter_ns
+) -> dict[str, float]:
+    """Run one step; return the milliseconds of each stage that ran, in order. Their sum is the step's time.
+
+    The clock `work_ns` counts only this thread's processor time, however busy the machine is.
+    """
+    taken: dict[str, float] = {}
+    last = clock_ns()
+
+    def mark(stage: str) -> None:
+        nonlocal last
+        now = clock_ns()
+        taken[stage] = (now - last) / 1e6
+        last = now
+
+    made.step(frame, mark)
+    return taken
+
 
 DEPTHS_MM = (1.5, 3.0, 4.5)
 RINGS = ((0.0, 0.1), (0.2, 0.28), (0.32, 0.38))
@@ -194,3 +234,43 @@ def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[
             timings[profile] = Timing(float(np.median(taken)), len(taken))
         report("profiles timed", len(plan.profiles), len(plan.profiles))
     return timings
+
+
+def read_images(
+    calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
+) -> Iterator[Case]:
+    """Yield images with their ground truth; report an unusable one to `mistake` in one line and continue."""
+    size = (calibration.image_height_px, calibration.image_width_px)
+    for k, path in enumerate(images):
+        report("images", k, len(images))
+        try:
+            image = read_image(path)
+            if image.shape[:2] != size:
+                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
+                raise DecodeError(f"{path}: found {found}, expected {expected}, the size of the calibration's images")
+            truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
+        except DecodeError as error:
+            mistake(str(error))
+            continue
+        yield Case(Label(sensor, name if len(truth.points_mm) else "none", path.name), truth, image)
+    report("images", len(images), len(images))
+
+
+def evaluate_images(
+    calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
+) -> tuple[list[Row], dict[str, Timing]]:
+    """Score images one after another in this process and time every step."""
+    made = {profile: reconstructor(calibration, profile) for profile in profiles}
+    taken: dict[str, list[float]] = {profile: [] for profile in profiles}
+    rows = []
+    for case in cases:
+        frame = Frame(0, 0, 0, case.image)
+        for profile, each in made.items():
+            if not taken[profile]:
+                each.step(frame)  # the first step imports and allocates
+            start = time.perf_counter_ns()
+            result = each.step(frame)
+            taken[profile].append((time.perf_counter_ns() - start) / 1e6)
+            rows.append(score(case.label, case.truth, result))
+    timings = {p: Timing(float(np.median(ms)), len(ms)) for p, ms in taken.items() if ms}
+    return rows, timings

@@ -15,9 +15,18 @@ import numpy as np
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.studies.evaluate.score import Row, score
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors
-from tacshade_edge.studies.evaluate.work import DEPTHS_MM, RINGS, Case, null_cases, press_cases, scenes
+from tacshade_edge.studies.evaluate.work import (
+    DEPTHS_MM,
+    RINGS,
+    Case,
+    null_cases,
+    one_thread,
+    press_cases,
+    scenes,
+    stages_ms,
+    work_ns,
+)
 from tacshade_edge.studies.parallel import Report, Workers, processes, reported_map
-from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
 from tacshade_edge.studies.tradeoff.grid import Setting, make
 from tacshade_edge.types import F64, U8, Bool, Calibration, Frame
 

@@ -25,8 +25,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.prints import print_features
-from tacshade_edge.simulator.render import project
+from tacshade_edge.simulator.render import print_features, project
 from tacshade_edge.simulator.skin import chart_to_direction
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Reconstruction
 from tools.testbed.simulator.families import sensor_name

@@ -14,7 +14,7 @@ from support.observed_presses import SEEDS, observed
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation import PressObservation
-from tacshade_edge.core.calibration.presses.press_outliers import agreement_mae_mm, outliers
+from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, outliers
 from tacshade_edge.core.calibration.presses.table_check import table_hints
 from tacshade_edge.core.calibration.quality import missing_coverage
 from tacshade_edge.core.calibration.skin_scale import skin_scale

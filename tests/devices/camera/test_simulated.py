@@ -9,8 +9,8 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera.simulated import SimulatedSource
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import Script
+from tacshade_edge.simulator.truth import SimulatedSensor
 
 SMALL = replace(SensorModel(), image_height_px=48, image_width_px=64, row_c=23.0, col_c=31.0, disc_radius_px=20.0)
 SCRIPT = Script((Press(ball(5.0), depth_mm=3.0),), approach=1, hold=1, release=1, pause=1)

@@ -19,8 +19,7 @@ from tacshade_edge.core.calibration import indenters
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press, distance_mm
-from tacshade_edge.simulator.prints import PinProfile, lattice_print
-from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.simulator.render import PinProfile, Renderer, lattice_print
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE

@@ -17,8 +17,8 @@ from tacshade_edge.simulator.drag import contact_nodes, slip_of
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin, node_directions
+from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
 from tacshade_edge.types import F32, Slip
 from tools.testbed.simulator.creep import Imprint, imprint, kept, rest
 

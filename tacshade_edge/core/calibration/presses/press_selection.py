@@ -1,14 +1,21 @@
-"""Select the presses for a calibration's fit, with reasons for leaving out the others."""
+"""Select the presses for a calibration's fit"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.observation import (
+    PressObservation,
+    first_touch_mm,
+    observe_press,
+    with_stated_place,
+)
 from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, as_seen
-from tacshade_edge.core.calibration.presses.press_outliers import outliers
 from tacshade_edge.core.calibration.presses.table_check import (
     axes_hint,
     polarity_hint,
@@ -19,11 +26,191 @@ from tacshade_edge.core.calibration.presses.table_check import (
 )
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import Calibration, Geometry
+from tacshade_edge.types import F64, Calibration, Geometry, frozen
+
+OUTLIER_DEVIATIONS = 4.0
+"""A press is an outlier beyond this many standard deviations of all presses."""
+
+# Regression of log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
+# other indenter, on the nominal skin: usual weights (0 for the indenters), which count where the presses leave a weight
+# open, and the strength of the pull towards them.
+_USUAL_WEIGHTS = np.array([0.0, 1.2, 0.0, 0.0, -0.3, 0.2, -0.25])
+_RIDGE = 0.01
+# Least standard deviation of log(travel), and of the travel in mm on the nominal skin.
+_LEAST_DEVIATION, _LEAST_DEVIATION_MM = 0.06, 0.1
+# Standard deviation of log(travel) that sets the weight of shallow presses.
+_USUAL_DEVIATION = 0.1
+_HUBER = 1.5
+_LEAST_TRAVEL_MM = 0.05
+_MAX_LEVERAGE = 0.9
+_ITERATIONS = 12
+# A place is an outlier beyond this many times the median error, with bounds in mm on the nominal skin.
+# tools/studies/calibration.py measures what this finds, rightly and wrongly.
+_PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
+# The same for presses located by a network.
+_SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
+# A ball is an outlier if its size differs from the median press's by this many robust deviations of the logarithms and
+# at least this factor; shallower presses (mm on the nominal skin) do not show the radius.
+_BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
+# A small ball may look larger than it is, so a larger look counts only if the stated radius fits this many times worse.
+_LARGER_MISFIT_RATIO = 4.0
+# With fewer presses, no fit shows which one is wrong.
+_LEAST_PRESSES = 3
+
+
+@frozen
+class LeftOut:
+    """The residual (N,) of each press from the fit without it: predicted less stated travel, and its size in robust
+    standard deviations of all presses, less if the press dominates the fit.
+    """
+
+    error_mm: F64
+    deviations: F64
+
+
+def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> LeftOut:
+    """Fit all presses robustly, and predict each from the others."""
+    scale = skin_scale(geometry)
+    features = _features(observations, geometry)
+    depth_mm = np.array([o.depth_mm for o in observations])
+    travel = np.maximum((depth_mm - first_touch_mm(observations, geometry)) / scale, _LEAST_TRAVEL_MM)
+    log_travel, least = np.log(travel), _LEAST_DEVIATION_MM / travel
+    # An error in mm is a larger ratio for a shallow press.
+    trust = 1 / (1 + (least / _USUAL_DEVIATION) ** 2)
+    weight = trust
+    usual = np.concatenate((_USUAL_WEIGHTS, np.zeros(features.shape[1] - len(_USUAL_WEIGHTS))))
+    pulled = np.diag([0.0] + [1.0] * (features.shape[1] - 1))
+    for _ in range(_ITERATIONS):
+        ridge = _RIDGE * float(weight.sum()) * pulled
+        weighted = features * weight[:, None]
+        normal = weighted.T @ features + ridge
+        residual = log_travel - features @ np.linalg.solve(normal, weighted.T @ log_travel + ridge @ usual)
+        deviation = np.hypot(max(1.4826 * float(np.median(np.abs(residual))), _LEAST_DEVIATION), least)
+        z = np.abs(residual) / deviation
+        kept = np.where(z < _HUBER, 1.0, _HUBER / np.maximum(z, _HUBER)) * (z < OUTLIER_DEVIATIONS)
+        if not kept.any():
+            break
+        weight = trust * kept
+    leverage = weight * np.einsum("ij,ij->i", features, np.linalg.solve(normal, features.T).T)
+    rest = 1 - np.minimum(leverage, _MAX_LEVERAGE)
+    without = residual / rest
+    error = (np.exp(np.clip(-without, -5, 5)) - 1) * travel * scale
+    return LeftOut(error, np.abs(without) * np.sqrt(rest) / deviation)
+
+
+def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
+    """Mean error of the depth of a press, predicted from all the others with indenter and place known; mm."""
+    return float(np.mean(np.abs(leave_one_out(observations, geometry).error_mm)))
+
+
+def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
+    scale = skin_scale(geometry)
+    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    places = np.array([o.place_mm for o in observations])
+    rho2 = np.minimum((places**2).sum(axis=1) / visible_mm**2, 1.5)
+    columns = [
+        np.ones(len(observations)),
+        np.log([o.change_grey for o in observations]),
+        rho2,
+        rho2**2,
+        np.log([o.radius_mm / scale for o in observations]),
+        np.log([o.bright_mm2 / scale**2 for o in observations]),
+        np.log([o.brightening_grey for o in observations]),
+    ]
+    others = sorted({o.indenter for o in observations} - {""})
+    columns += [np.array([float(o.indenter == name) for o in observations]) for name in others]
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A press that disagrees: its index and the reason, as a message."""
+
+    index: int
+    reason: str
+
+
+def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[Outlier, ...]:
+    """Presses with a stated place, ball or depth far from the shown one; all others together predict the depth."""
+    reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
+    while True:
+        # Repeat without the worst: many wrong presses widen the deviation and so hide each other.
+        rest = [k for k in range(len(observations)) if k not in reasons]
+        if len(rest) < _LEAST_PRESSES:
+            break
+        left_out = leave_one_out([observations[k] for k in rest], geometry)
+        found = {
+            k: _depth_reason(observations[k], float(error))
+            for k, error, deviations in zip(rest, left_out.error_mm, left_out.deviations, strict=True)
+            if deviations > OUTLIER_DEVIATIONS
+        }
+        if not found:
+            break
+        reasons |= found
+    return tuple(Outlier(k, reasons[k]) for k in sorted(reasons))
+
+
+def _depth_reason(press: PressObservation, error_mm: float) -> str:
+    return (
+        f"{press.name}: found a depth of {press.depth_mm:.2f} mm, expected {press.depth_mm + error_mm:.2f} mm by "
+        f"the other presses with {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
+    )
+
+
+def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """Presses much further from their stated places than most."""
+    errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 if no place is stated
+    scale = skin_scale(geometry)
+    reasons: dict[int, str] = {}
+    for is_seen, medians, least_mm in ((True, _SEEN_MEDIANS, _SEEN_LEAST_MM), (False, _PLACE_MEDIANS, _PLACE_LEAST_MM)):
+        alike = [k for k, o in enumerate(observations) if o.is_seen == is_seen]
+        stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place([observations[k] for k in alike])]
+        if stated:
+            limit_mm = np.clip(medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale)
+            reasons |= {k: _place_reason(observations[k]) for k in alike if errors[k] > limit_mm}
+    return reasons
+
+
+def _of_another_size(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """Balls that look larger or smaller than stated, compared with the median ball."""
+    logs = {k: math.log(o.ball_factor) for k, o in enumerate(observations) if math.isfinite(o.ball_factor)}
+    if len(logs) < _LEAST_PRESSES:
+        return {}
+    middle = float(np.median(list(logs.values())))
+    deviation = 1.4826 * float(np.median([abs(log - middle) for log in logs.values()]))
+    limit, shallow_mm = max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)), _BALL_DEPTH_MM * skin_scale(geometry)
+    return {
+        k: _ball_reason(observations[k], math.exp(log - middle))
+        for k, log in logs.items()
+        if abs(log - middle) > limit
+        and observations[k].depth_mm > shallow_mm
+        and (log < middle or observations[k].misfit_ratio > _LARGER_MISFIT_RATIO)
+    }
+
+
+def _ball_reason(press: PressObservation, factor: float) -> str:
+    """A message that the ball of a press looks `factor` times as large as stated."""
+    asked = ""
+    if factor < 1:
+        asked = f": is {press.radius_mm:g} mm its diameter?"
+    return (
+        f"{press.name}: found a ball of {press.radius_mm:g} mm, expected about {factor * press.radius_mm:.1f} mm, "
+        f"as the image shows{asked}"
+    )
+
+
+def _place_reason(press: PressObservation) -> str:
+    x_mm, y_mm = press.place_mm
+    return (
+        f"{press.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, "
+        f"expected x {press.located_x_mm:.1f}, y {press.located_y_mm:.1f} mm, as the image shows"
+    )
+
 
 MIN_PRESSES = 8
 # If more of the presses disagree, the whole table is wrong.

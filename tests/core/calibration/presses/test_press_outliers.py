@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from support.observed_presses import PRESSES, SEEDS, observed
 
 from tacshade_edge.core.calibration.observation import PressObservation
-from tacshade_edge.core.calibration.presses.press_outliers import agreement_mae_mm, leave_one_out, outliers
+from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, leave_one_out, outliers
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import Disc, Geometry
 

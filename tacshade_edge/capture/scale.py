@@ -2,15 +2,46 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.protocol.scale import UNITS, parse_reading
 from tacshade_edge.types import F64
+
+STANDARD_GRAVITY_M_S2: Final = 9.80665
+_POUND_KG: Final = 0.45359237
+_NEWTONS: Final = {
+    **{"n": 1.0, "mn": 1e-3, "kn": 1e3},
+    **{
+        name: STANDARD_GRAVITY_M_S2 * kg
+        for name, kg in (("mg", 1e-6), ("g", 1e-3), ("kg", 1.0), ("lb", _POUND_KG), ("oz", _POUND_KG / 16))
+    },
+    **{
+        name: STANDARD_GRAVITY_M_S2 * kg
+        for name, kg in (("gf", 1e-3), ("kgf", 1.0), ("lbf", _POUND_KG), ("ozf", _POUND_KG / 16))
+    },
+}
+UNITS: Final = "g, kg, mg, N, mN, kN, lb, oz"
+_READING = re.compile(r"([+-]?) *(\d+(?:[.,]\d+)?|[.,]\d+) *([a-z]+)", re.IGNORECASE)
+
+
+def parse_reading(line: bytes) -> float | None:
+    """The force in N that a line reports, a mass as its weight; None if it has no number with a known unit.
+
+    ``ST,GS,+  0.123 kg``, ``-12,5g`` and ``1.2 N`` are readings.
+    """
+    for sign, digits, unit in _READING.findall(line.decode("ascii", "replace")):
+        if (newtons := _NEWTONS.get(unit.lower())) is not None:
+            return (-1 if sign == "-" else 1) * float(digits.replace(",", ".")) * newtons
+    return None
+
 
 BAUD = 9600
 READINGS_MAX = 1 << 20
@@ -113,3 +144,64 @@ def force_at(at_s: float, t_s: F64, force_n: F64) -> float | None:
     if not 0 < after < len(t_s) or t_s[after] - t_s[after - 1] > GAP_S:
         return None
     return float(np.interp(at_s, t_s, force_n))
+
+
+RANGE_S, _STEP_S = 1.0, 0.005
+PRESSES_LEAST = 3
+_CORRELATION_LEAST = 0.8
+ERROR_MOST_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """A scale's clock offset and its standard error: a picture of time t shows the force read at t + `offset_s`."""
+
+    offset_s: float
+    error_s: float
+    presses: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """Times in s and the picture's change, both (n,), from before a press until after it was lifted."""
+
+    t_s: F64
+    change: F64
+
+
+def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
+    """Find the offset as the mean lag of the presses; their scatter gives its standard error.
+
+    Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a parabola through the
+    greatest correlation and its neighbours locates the peak between the steps.
+
+    `t_s`, `force` (float64 (m,)): the scale's readings and their arrival times, ascending. Raises ValueError (``found
+    …, expected …``: why the offset cannot be found).
+    """
+    lags = [lag for press in presses if (lag := _lag_s(press, t_s, force)) is not None]
+    if len(lags) < PRESSES_LEAST:
+        found = f"found {len(lags)} presses (of {len(presses)}) in which picture and force rise and fall together"
+        raise ValueError(f"{found}, expected at least {PRESSES_LEAST}, each pressed and lifted while recording")
+    error_s = float(np.std(lags, ddof=1) / np.sqrt(len(lags)))
+    if error_s > ERROR_MOST_S:
+        found = f"found clock offsets that differ by {1e3 * np.ptp(lags):.0f} ms between presses"
+        raise ValueError(f"{found}, expected a standard error of at most {1e3 * ERROR_MOST_S:.0f} ms")
+    return ClockOffset(float(np.mean(lags)), error_s, len(lags))
+
+
+def _lag_s(press: Press, t_s: F64, force: F64) -> float | None:
+    """Return one press's lag in s; None if it correlates too weakly or best at the end of the range."""
+    if len(press.t_s) < 5 or len(t_s) < 5:
+        return None
+    lags = np.arange(-RANGE_S, RANGE_S + _STEP_S / 2, _STEP_S)
+    seen = press.change - press.change.mean()
+    read = np.interp(press.t_s[None, :] + lags[:, None], t_s, force)
+    read -= read.mean(axis=1, keepdims=True)
+    size = np.sqrt((read * read).sum(axis=1) * (seen @ seen))
+    found = np.divide(read @ seen, size, out=np.zeros(len(lags)), where=size > 0)
+    at = int(found.argmax())
+    if not 0 < at < len(lags) - 1 or found[at] < _CORRELATION_LEAST:
+        return None
+    before, best, after = found[at - 1 : at + 2]
+    bend = before - 2 * best + after
+    return float(lags[at] + (_STEP_S * 0.5 * (before - after) / bend if bend < 0 else 0.0))
