@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.observation import (
@@ -338,10 +337,9 @@ def main() -> None:
     parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")
     parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
     parser.add_argument("--height", type=int, default=480, help="of the images, px")
-    study.add_cluster(parser)
     args = parser.parse_args()
     tasks = [(args.first + k, k < args.detect, args.height) for k in range(args.sensors)]
-    with command.folder_for(parser, None), workers(args.cluster) as pool:
+    with command.folder_for(parser, None), workers() as pool:
         print(report(list(pool.map(measure, tasks))))
 
 

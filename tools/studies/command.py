@@ -28,7 +28,7 @@ Part = TypeVar("Part")
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
-    """A parser for profiles, sensors, an output folder and a cluster, with default and final sensors."""
+    """A parser for profiles, sensors, and an output folder, with default and final sensors."""
     parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=list(NETWORKS), metavar="NAME")
     which = parser.add_mutually_exclusive_group()
@@ -45,7 +45,6 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options that `run` and `publish` need."""
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
-    study.add_cluster(parser)
     parser.set_defaults(json=False)
 
 
@@ -100,11 +99,11 @@ def run(
     kinds: Mapping[str, type[Any]],
     draw: Callable[[Sequence[Row]], Mapping[str, bytes]] | None = None,
 ) -> None:
-    """Work on this machine or a cluster; print the table, write it, its rows and its plots.
+    """Work; print the table, write it, its rows and its plots.
 
     `kinds` are the kinds of rows by the end of their CSV file's name; `draw` returns plots by the end of theirs.
     """
-    with folder_for(parser, args.out), workers(args.cluster) as pool:
+    with folder_for(parser, args.out), workers() as pool:
         rows = work(pool, Progress())
         files = {end: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for end, kind in kinds.items()}
         study.publish(args, stem, text(rows), files)

@@ -3,7 +3,7 @@
 ::
 
     .venv/bin/python -m tools.studies.object_motion [--trials 20] [--rest-s 600] [--csv FILE]
-    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE] [--cluster tcp://HOST:8786]
+    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE]
 
 The first command takes grasps from geometry, with errors of patches as measured before. In the second, a simulated hand
 holds an object, and the study draws and reconstructs the pictures of all five fingers, which takes a minute of one core
@@ -24,7 +24,6 @@ from typing import Final, cast
 
 import numpy as np
 
-from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.hand.link import Patch
@@ -574,10 +573,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--drawn", type=int, metavar="N", help="pictures instead, so many of each object and family")
     parser.add_argument("--final", action="store_true", help="with --drawn: the sensors kept for final figures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write a row for each trial")
-    study.add_cluster(parser)
     args = parser.parse_args(words)
     if args.drawn:
-        with command.folder_for(parser, None), workers(args.cluster) as pool:
+        with command.folder_for(parser, None), workers() as pool:
             chosen = drawings(args.drawn, FINAL_FAMILIES if args.final else FAMILIES)
             rows = drawn_rows(chosen, pool, Progress())
     else:

@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.training.fit_sigma [--cluster tcp://HOST:8786]  # about ten minutes of one core
+    .venv/bin/python -m tools.training.fit_sigma  # about ten minutes of one core
 
 The weights are fitted to some objects, pressed and dragged. The relation between presses and error scales is fitted to
 other objects on the same sensors, because errors are larger on objects that the weights were not fitted to. The page
@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.refit import refit_profile
@@ -188,9 +187,8 @@ def _press_q(network: str, model: SigmaModel, sensor: Measured) -> float:
 def main() -> None:
     """Fit all networks and write the file."""
     parser = argparse.ArgumentParser(description="Fit how far off the shipped networks are.")
-    study.add_cluster(parser)
-    args = parser.parse_args()
-    with command.folder_for(parser, None), workers(args.cluster) as pool:
+    parser.parse_args()
+    with command.folder_for(parser, None), workers() as pool:
         sensors = list(pool.map(measure, SENSORS))
     networks = {}
     for network in LADDER:

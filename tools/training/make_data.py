@@ -4,7 +4,7 @@
 ::
 
     .venv-train/bin/python -m tools.training.make_data --out DATA --sensors 2400 [--frames 12]
-        [--cluster tcp://HOST:8786]
+
 
 Shard k holds the sensors of the 24 seeds from FIRST_SEED + 24 k on, so the same command makes the same data. Shards
 from 5000 on (`--first-shard 5000`) hold uneven sensors, those from 10000 on more uneven ones, and those from 25000 on
@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.cli.shared import study
 from tacshade_edge.studies.parallel import workers
 from tools.studies import command
 from tools.training.kinds import shards
@@ -59,11 +58,10 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sensors", type=int, default=2400, help="of all kinds together")
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
-    study.add_cluster(parser)
     args = parser.parse_args(words)
     paths = {k: args.out / f"shard_{k:05d}.npz" for k in shards(-(-args.sensors // SENSORS_PER_SHARD))}
     jobs = {path: (FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k, path in paths.items() if not path.exists()}
-    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+    with command.folder_for(parser, args.out), workers() as pool:
         for path, (content, line) in zip(jobs, pool.map(make_shard, jobs.values()), strict=True):
             part = path.with_suffix(".part")
             part.write_bytes(content)

@@ -32,7 +32,7 @@ from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Calibration, Frame
 
 WORKING_SENSORS = "default,5,11,21"
-SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
+SIMULATED = ("sensors", "objects", "presses", "references")
 """Options that are only for simulated sensors."""
 
 
@@ -47,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(own, "--sensor", "SENSOR.yaml", text)
     text = "with --sensor: images of the untouched skin (default: the least loaded frame)"
     add_option(own, "--reference", "IMG", text, nargs="+")
-    study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     text = "number of ball presses in each calibration; 0 is allowed (default: 40)"
     add_option(simulated, "--presses", "N", text, COUNT)
@@ -81,7 +80,7 @@ def _simulated(args: argparse.Namespace) -> int:
     )
     study.make_folder(args.out)
     drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
-    with workers(args.cluster) as pool:
+    with workers() as pool:
         found = evaluate(plan, pool, Progress())
     calibration = found.calibrations[0].calibration
     timings = time_profiles(plan, calibration, Progress())

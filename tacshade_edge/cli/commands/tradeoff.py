@@ -31,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     study.add_arguments(parser, "default: every profile and variants of each", files)
     text = "print the settings of the most accurate profile that needs at most MS ms for 99 of 100 frames in contact"
     add_option(parser, "--budget-ms", "MS", text, POSITIVE)
-    study.add_cluster(parser)
     text = "time only the shipped profiles and print a report to send in; it omits this board's host name"
     parser.add_argument("--report", action="store_true", help=text)
     study.add_simulated(parser, SENSORS, "the paper's five")
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     settings = grid(names)
     own = study.is_own(args, ("sensors", "objects"))
     study.make_folder(args.out)
-    with workers(args.cluster) as pool:
+    with workers() as pool:
         if own:
             calibration, cases, mistakes = study.own_images(args)
             images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
@@ -74,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _report(args: argparse.Namespace) -> int:
     """Measure the shipped profiles in the same way on every board, and print a report."""
-    for name in ("profile", "out", "calibration", "images", "budget_ms", "cluster", "sensors", "objects"):
+    for name in ("profile", "out", "calibration", "images", "budget_ms", "sensors", "objects"):
         if getattr(args, name) is not None:
             args.parser.error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
     if args.json:

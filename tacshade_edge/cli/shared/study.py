@@ -52,12 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
     parser.set_defaults(parser=parser)
 
 
-def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--cluster``, to use the workers of other machines."""
-    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the `cluster` extra)"
-    parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
-
-
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
