@@ -1,4 +1,4 @@
-"""What a robot's poses tell of a press: place and depth on a fixed indenter, or labels relative to first touch."""
+"""What a robot's poses show of a press: place and depth on a fixed indenter, or labels relative to first touch."""
 
 from __future__ import annotations
 

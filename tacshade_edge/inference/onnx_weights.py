@@ -2,7 +2,7 @@
 
 A fitted network is stored as its weights alone, so that a calibration contains numbers and never a graph. This module
 reads only the fields that it needs of the format (Protocol Buffers, and ONNX's ``onnx.proto``). ONNX Runtime replaces a
-graph's weights by name, but tells neither their names and values nor the layout to which they belong.
+graph's weights by name, but states neither their names and values nor the layout to which they belong.
 """
 
 from __future__ import annotations

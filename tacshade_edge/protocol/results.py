@@ -60,7 +60,7 @@ class PressAdded(_Result):
 class SessionEnded(_Result):
     """The session ended, and `used` of its presses are in its final map.
 
-    `refined` tells whether the poses were refined rather than taken as exact, `disagreement_mm` is the RMS of the
+    `refined` states whether the poses were refined rather than taken as exact, `disagreement_mm` is the RMS of the
     height changes that would make the presses agree, `area_mm2` the area of the map's cells that have a height.
     """
 

@@ -396,7 +396,7 @@ PREVIEW_BYTES_MAX: Final = 1 << 20
 class Topic:
     """How to decode a topic's payload, and its MQTT 5 content type.
 
-    `newest_wins` tells whether only the newest of its messages is of use, so that a reader need not keep more.
+    `newest_wins` states whether only the newest of its messages is of use, so that a reader need not keep more.
     """
 
     decode: Callable[[str, bytes], Any]

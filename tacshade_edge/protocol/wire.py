@@ -45,7 +45,7 @@ __all__ = [
 
 
 class _Taken(TypedDict, total=False):
-    """What else the header tells of a frame: its calibration, and the robot's pose with the error of its time."""
+    """What else the header states of a frame: its calibration, and the robot's pose with the error of its time."""
 
     calibration_crc32: Required[int]
     pose: Pose | None
@@ -79,10 +79,10 @@ def encode_cloud(result: Reconstruction, **taken: Unpack[_Taken]) -> bytes:
 
 def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int) -> bytes:
     """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame, with the revision as its sequence."""
-    told: dict[str, Any] = {"contact": True, "invalid": False, "saturated": False, "degraded": False}
-    told |= {"seq": revision, "calibration_crc32": calibration_crc32, "t_ns": t_ns, "wall_ns": wall_ns}
+    fields: dict[str, Any] = {"contact": True, "invalid": False, "saturated": False, "degraded": False}
+    fields |= {"seq": revision, "calibration_crc32": calibration_crc32, "t_ns": t_ns, "wall_ns": wall_ns}
     labels = np.ones(len(points_mm), np.uint16)
-    return encode(CloudMessage(**told, pose=None, pose_error_us=0, points_mm=points_mm, labels=labels))
+    return encode(CloudMessage(**fields, pose=None, pose_error_us=0, points_mm=points_mm, labels=labels))
 
 
 def _frame(result: Reconstruction, taken: _Taken) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from tacshade_edge.cli.shared import study
-from tacshade_edge.cli.shared.options import COUNT, add_option, tell
+from tacshade_edge.cli.shared.options import COUNT, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
@@ -112,7 +112,7 @@ def _own(args: argparse.Namespace) -> int:
     _publish(args, rows, timings, settings)
     refused = {row.image: row.degraded for row in rows if not row.valid}
     for image, why in refused.items():
-        tell(f"{image}: invalid: {why}")
+        warn(f"{image}: invalid: {why}")
     return 1 if mistakes or refused else 0
 
 
@@ -145,7 +145,7 @@ def _labelled(args: argparse.Namespace) -> int:
         try:
             image = read_image(each.path)
         except DecodeError as error:
-            progress.tell(error)
+            progress.warn(error)
             mistakes += 1
             continue
         known.append(each.known)
@@ -161,7 +161,7 @@ def _labelled(args: argparse.Namespace) -> int:
     if drawn:
         study.write(args.out / "labels.png", labels.draw(rows, known))
     if not any(row.contact or not row.refused for row in every):
-        tell(f"{args.images}: every frame is invalid, the first: {every[0].refused}; are they this calibration's?")
+        warn(f"{args.images}: every frame is invalid, the first: {every[0].refused}; are they this calibration's?")
         return 1
     return 1 if mistakes else 0
 
@@ -172,14 +172,14 @@ def _calibration(args: argparse.Namespace, table: Sequence[LabelledImage]) -> Ca
         return calibrations.load(args.calibration, store=False)
     paths = args.reference or [min(table, key=_load).path]
     if not args.reference:
-        tell(f"using {paths[0]}, the least loaded frame, as the reference")
+        warn(f"using {paths[0]}, the least loaded frame, as the reference")
     try:
         references = [read_image(path) for path in paths]
     except DecodeError as error:
         raise ConfigError(str(error)) from None
     result = calibrate(read_sensor(args.sensor), references, allow_loaded_reference=True)
     for warning in result.warnings:
-        tell(warning)
+        warn(warning)
     return result.calibration
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tacshade_edge.cli.shared.options import add_option, add_profile, tell
+from tacshade_edge.cli.shared.options import add_option, add_profile, warn
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.daemon.replay import Progress, replay
@@ -43,14 +43,14 @@ def run(args: argparse.Namespace) -> int:
     recording = Recording(path)
     for line in (recording.damage, "the recording was cut off; exporting what is whole" if recording.cut_off else ""):
         if line:
-            tell(f"{path}: {line}")
+            warn(f"{path}: {line}")
     content = content_of(path)
     calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
     export = _begin(args.to, out, calibration, args.profile, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
     try:
-        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=tell)
+        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=warn)
         export.finish()
     finally:
         export.discard()

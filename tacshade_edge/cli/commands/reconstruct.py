@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             try:
                 image = read_image(path)
             except DecodeError as error:
-                progress.tell(error)
+                progress.warn(error)
                 unreadable += 1
                 continue
             result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
                     tiles.append(tile(path.stem, image, result))
             records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
             if not result.valid:  # its record reports this too, and its height is 0 everywhere
-                progress.tell(f"{path}: invalid: {text_of(result.reason)}")
+                progress.warn(f"{path}: invalid: {text_of(result.reason)}")
                 invalid += 1
             progress("images", index + 1, len(images))
         if tiles:

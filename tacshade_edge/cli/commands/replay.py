@@ -7,7 +7,7 @@ import contextlib
 import re
 import signal
 
-from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_option, add_profile, address, tell
+from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_option, add_profile, address, warn
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
@@ -86,9 +86,9 @@ def _replay(args: argparse.Namespace) -> int:
     broker, given = _broker(args), args.calibration
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
-        tell(f"{args.input}: the recording was cut off; replaying what was written until then")
+        warn(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
-        tell(recording.damage)
+        warn(recording.damage)
     calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
     assert calibration is not None  # `_mistake` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
@@ -115,7 +115,7 @@ def _replay(args: argparse.Namespace) -> int:
         total, speed = (None, None) if args.play else (recording.frames, args.speed)
         sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
         try:
-            replay(played, reconstructor, sinks, progress, speed=speed, undecodable=shown.tell)
+            replay(played, reconstructor, sinks, progress, speed=speed, undecodable=shown.warn)
         except KeyboardInterrupt:
             interrupted = True
         shown.end()
@@ -131,7 +131,7 @@ def _replay(args: argparse.Namespace) -> int:
         print(", ".join(f"{counts[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused")))
     if interrupted:
         if args.out is not None:
-            tell(f"{args.out}: stopped before the end and wrote nothing")
+            warn(f"{args.out}: stopped before the end and wrote nothing")
         return 0 if args.loop == 0 or args.play else 130
     return 1 if progress.undecodable else 0
 

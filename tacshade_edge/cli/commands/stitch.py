@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.cli.shared.options import add_option, add_profile, tell
+from tacshade_edge.cli.shared.options import add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.flange import FoundFlange, delay_seen, find_flange, unseen
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.find_flange and args.recording is not None:
         found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
         for reason in unread:
-            tell(f"{args.recording}: {reason.text}")
+            warn(f"{args.recording}: {reason.text}")
         report_flange(found, start, radius_mm, args.out, where, as_json=args.json)
         return 1 if unread else 0
     if args.recording is None:
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
     failed = [press for press in presses if press.failed]
     for press in failed:
-        tell(f"{press.where}: {press.skipped}")
+        warn(f"{press.where}: {press.skipped}")
     if args.find_flange:
         report_flange(frames_of_presses(presses, start), start, radius_mm, args.out, where, as_json=args.json)
         return 1 if failed else 0

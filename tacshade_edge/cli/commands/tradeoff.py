@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tacshade_edge.cli.shared import study
-from tacshade_edge.cli.shared.options import POSITIVE, add_option, tell
+from tacshade_edge.cli.shared.options import POSITIVE, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor.board import board_facts, heat
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         rows = score_settings(settings, images, pool, Progress())
     found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
-        tell(f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here")
+        warn(f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here")
     document = report.document(found, data, busy)
     study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)
     if drawn:
@@ -95,7 +95,7 @@ def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) ->
     """Print the settings for a budget; if no profile keeps it, print that and return False."""
     block = report.settings_block(found, budget_ms)
     if block is None:
-        tell(report.over_budget(found, budget_ms))
+        warn(report.over_budget(found, budget_ms))
         return False
     print(f"\n{block}", file=sys.stderr if aside else sys.stdout)
     return True

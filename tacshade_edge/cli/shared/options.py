@@ -18,7 +18,7 @@ from tacshade_edge.version import how_to_install
 DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
 
-def tell(line: object) -> None:
+def warn(line: object) -> None:
     """Write a line to stderr."""
     print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
 

@@ -45,7 +45,7 @@ class Progress:
         else:
             print(text, file=self._stream, flush=True)
 
-    def tell(self, line: object) -> None:
+    def warn(self, line: object) -> None:
         """Write a separate line in place of the one that updates itself."""
         start = "\r\033[K" if self._is_open else ""
         print(f"{start}tacshade-edge: {line}", file=self._stream, flush=True)

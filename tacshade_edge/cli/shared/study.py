@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.shared.options import add_option, tell
+from tacshade_edge.cli.shared.options import add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
@@ -87,7 +87,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
 
     def mistake(text: str) -> None:
         mistakes.append(text)
-        report.tell(text)
+        report.warn(text)
 
     return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
 
@@ -96,7 +96,7 @@ def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("
     """Whether pictures are wanted and can be drawn; imports nothing, and prints a line if a package is missing."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if args.out and missing:
-        tell(f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}")
+        warn(f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}")
     return args.out is not None and not missing
 
 

@@ -49,7 +49,7 @@ def iter_rows(
     """Read a table with exactly this header, row by row (``FILE:LINE``, columns), skipping empty lines.
 
     A table may end after any of the optional columns `more`. If its header ends with `CRC_COLUMN`, each line ends with
-    its `line_crc32`, which is not yielded; lines with a wrong one are left out and told to `on_damage` by
+    its `line_crc32`, which is not yielded; lines with a wrong one are left out and reported to `on_damage` by
     ``FILE:LINE``, and so is a damaged header if the lines after it have theirs. With `cut_off`, the writer crashed, so
     an unterminated last line is left out. Raises ConfigError if the file is unreadable or not CSV, has another header,
     a row of another length, or too many rows; `what` names the kind of rows.

@@ -56,7 +56,7 @@ def test_a_message_stands_on_a_line_of_its_own() -> None:
     for stream, said in ((Terminal(), "\r\033[Ktacshade-edge: a.png: cut\n"), (io.StringIO(), "a.png: cut\n")):
         progress = Progress(stream, Clock())
         progress("images", 1, 2)
-        progress.tell("a.png: cut")
+        progress.warn("a.png: cut")
         progress.end()
         assert stream.getvalue().endswith(said)
         assert "\n\n" not in stream.getvalue()
