@@ -27,11 +27,14 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
 
+NUMBER_MAX: Final = 1e6
+"""Greatest number in somebody else's array, far above any length in mm or pixels."""
 T = TypeVar("T")
 Array = npt.NDArray[Any]
 BYTES_MAX: Final = 64 << 20
 """Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
-_MEMBERS_MAX: Final = 16
+_MEMBERS_MAX: Final = 256
+_ENTRY: Final = b"PK\x01\x02"  # begins each entry of the directory, which zipfile reads whole
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE: Final = (
     *(LookupError, ValueError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError, struct.error),
@@ -120,13 +123,32 @@ def read_arrays(path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "b
     `bytes_max`, packed or unpacked.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(read_regular(path, bytes_max))) as archive:
-            entries = archive.infolist()
-            if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > bytes_max:
-                raise ValueError("too many or too large arrays")
-            return {entry.filename.removesuffix(".npy"): _npy(_unpacked(archive, entry), kinds) for entry in entries}
+        data = read_regular(path, bytes_max)
+        if data.count(_ENTRY) > _MEMBERS_MAX:
+            raise ValueError("too many arrays")
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+            if len(entries) < len(archive.infolist()):
+                raise ValueError("two arrays of the same name")
+            if sum(entry.file_size for entry in entries.values()) > bytes_max:
+                raise ValueError("too large arrays")
+            return {name: _npy(_unpacked(archive, entry), kinds) for name, entry in entries.items()}
     except _DAMAGE as error:
         raise DecodeError(f"no intact .npz file: {error}") from None
+
+
+def numbers(arrays: Mapping[str, Array], key: str, dimensions: int, *, nan: bool = False) -> Array:
+    """An array of numbers from -`NUMBER_MAX` to it, or NaN with `nan`. Raises DecodeError."""
+    array = arrays[key].reshape(()) if dimensions == 0 and arrays[key].size == 1 else arrays[key]
+    if array.dtype.kind not in "biuf" or array.ndim != dimensions:
+        found = f"found {array.dtype} values of shape {array.shape}"
+        raise DecodeError(f"{key}: {found}, expected numbers in {dimensions} dimensions")
+    if not nan and np.isnan(array).any():
+        raise DecodeError(f"{key}: found NaN, expected numbers")
+    extremes = [float(each.reduce(array, axis=None)) for each in (np.fmin, np.fmax) if array.size]
+    if wrong := [value for value in extremes if abs(value) > NUMBER_MAX]:
+        raise DecodeError(f"{key}: found {wrong[0]:g}, expected numbers from -{NUMBER_MAX:g} to {NUMBER_MAX:g}")
+    return array
 
 
 def _nested(kind: type, values: Mapping[str, Any], known: set[str]) -> dict[str, Any]:
@@ -182,6 +204,8 @@ def _npy(data: bytes, kinds: str) -> Array:
         raise ValueError("another version of .npy")
     shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
     values = data[stream.tell() :]
-    if dtype.kind not in kinds or min(shape, default=0) < 0 or len(values) != dtype.itemsize * math.prod(shape):
+    if dtype.kind not in kinds:
+        raise ValueError(f"found an array of {dtype}")
+    if min(shape, default=0) < 0 or len(values) != dtype.itemsize * math.prod(shape):
         raise ValueError("not as long as its header says")
     return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran_order else "C")

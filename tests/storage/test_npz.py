@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.npz import BYTES_MAX, Content
 
@@ -59,7 +59,7 @@ def of_shape(shape: tuple[int, ...]) -> bytes:
         pytest.param({"a.npy": array([None])}, id="objects"),
         pytest.param({"a.npy": bytes(BYTES_MAX)}, id="a bomb"),
         pytest.param({f"{i}.npy": bytes(BYTES_MAX // 10) for i in range(11)}, id="a bomb of parts"),
-        pytest.param({f"{i}.npy": b"" for i in range(17)}, id="many"),
+        pytest.param({f"{i}.npy": b"" for i in range(300)}, id="many"),
     ],
 )
 def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: dict[str, bytes]) -> None:
@@ -91,6 +91,26 @@ def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path,
         assert tracemalloc.get_traced_memory()[1] < 4 << 20
     finally:
         tracemalloc.stop()
+
+
+def test_a_directory_of_many_entries_is_not_read(tmp_path: Path) -> None:
+    entries = 300_000 * (struct.pack("<4s6H3I5H2I", b"PK\1\2", *[0] * 9, 1, *[0] * 6) + b"a")
+    (tmp_path / "c.npz").write_bytes(entries + struct.pack("<4s4H2IH", b"PK\5\6", *[0] * 4, len(entries), 0, 0))
+    tracemalloc.start()
+    try:
+        with pytest.raises(DecodeError, match="too many arrays"):
+            npz.read_arrays(tmp_path / "c.npz", BYTES_MAX)
+        assert tracemalloc.get_traced_memory()[1] < 2 * len(entries)
+    finally:
+        tracemalloc.stop()
+
+
+def test_of_two_arrays_of_one_name_none_is_read(tmp_path: Path) -> None:
+    stream = io.BytesIO(CONTENT.packed())
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(stream, "a") as archive:
+        archive.writestr("h.npy", array(np.eye(2)))
+    with pytest.raises(ConfigError, match="damaged"):
+        read(tmp_path / "c.npz", stream.getvalue())
 
 
 def test_only_a_regular_file_is_read(tmp_path: Path) -> None:

@@ -200,7 +200,12 @@ def test_a_file_of_the_contracts_keys_is_enough(tmp_path: Path) -> None:
         *({"z_mm": np.zeros(3)}, {"step_mm": 0.0}, {"z_mm": np.full((2, 2), np.nan)}, {"z_mm": None}),
         *({"step_mm": np.inf}, {"step_mm": 1e-300}, {"x0_mm": np.nan}, {"x0_mm": np.zeros(2)}, {"z_mm": np.array("a")}),
         *({"bars_mm": np.zeros((1, 5))}, {"bars_mm": np.zeros(4)}, {"circles_mm": np.full((1, 4), np.nan)}),
-        {"z_mm": np.array([[None]])},
+        *(
+            {"z_mm": np.array([[None]])},
+            {"z_mm": np.full((2, 2), 1e7)},
+            {"z_mm": np.full((2, 2), 2**64 - 1, np.uint64)},
+        ),
+        *({"z_mm": np.zeros((2048, 2049), bool)}, {"bars_mm": np.ones((1001, 5))}, {"circles_mm": np.ones((1001, 4))}),
     ],
 )
 def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ import numpy as np
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.truth import Truth
-from tacshade_edge.storage.npz import read_arrays
+from tacshade_edge.storage.npz import numbers, read_arrays
 from tacshade_edge.types import F32, Bool, Geometry, HeightMap, Reconstruction, frozen
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
@@ -176,6 +178,7 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
 
 EXPECTED = "points_mm, or height_mm and contact"
 _BYTES_MAX = 256 << 20
+_DEPTH_MIN_MM, _DEPTH_PART_MAX = 0.02, 0.8  # less is no contact; a part of the skin's radius, as a file may be in m
 
 
 def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
@@ -187,39 +190,40 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
     or another size than the image (height, width).
     """
     content = _content(path)
-    contact = height = None
-    if "contact" in content:
-        contact = _array(path, content, "contact", 2).astype(bool)
-    if "height_mm" in content:
-        height = _array(path, content, "height_mm", 2)
-    row0, col0 = (_number(path, content, key, 0.0) for key in ("row0", "col0"))
-    step = _number(path, content, "step_px", 1.0)
+    try:
+        return _truth(content, image_size_px, geometry), shown(content.get("object", path.stem), 60)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from None
+
+
+def _truth(content: Mapping[str, Any], image_size_px: tuple[int, int], geometry: Geometry) -> KnownTruth:
+    contact = numbers(content, "contact", 2).astype(bool) if "contact" in content else None
+    height = numbers(content, "height_mm", 2, nan=True) if "height_mm" in content else None
+    row0, col0, step = (_number(content, key, default) for key, default in (("row0", 0), ("col0", 0), ("step_px", 1)))
+    if step <= 0:
+        raise DecodeError(f"step_px: found {step}, expected a number above 0")
     for name, grid in (("contact", contact), ("height_mm", height)):
         if grid is not None:
-            _check_covers(path, name, grid.shape, (row0, col0, step), image_size_px)
+            _check_covers(name, grid.shape, (row0, col0, step), image_size_px)
     if "points_mm" in content:
-        points = _array(path, content, "points_mm", 2)
-        if points.shape[1] != 3 or not np.isfinite(points).all():
-            raise DecodeError(
-                f"{path}: points_mm: found numbers of shape {points.shape}, expected finite numbers of shape (N, 3)"
-            )
+        points = numbers(content, "points_mm", 2)
+        if points.shape[1] != 3:
+            raise DecodeError(f"points_mm: found numbers of shape {points.shape}, expected the shape (N, 3)")
     elif height is not None and contact is not None:
-        if not np.isfinite(height[contact]).all():
-            raise DecodeError(f"{path}: height_mm: found NaN inside the contact, expected a height in mm")
+        if height.shape != contact.shape or not np.isfinite(height[contact]).all():
+            raise DecodeError("height_mm: found NaN inside the contact or other cells, expected a height in mm")
         rays = disc_rays(Grid(height.shape[0], height.shape[1], row0, col0, step), geometry)
         points = between_pixels(skin_points(height.astype(np.float32), rays, geometry)[contact], contact)
     else:
-        raise DecodeError(f"{path}: found the keys {', '.join(sorted(content)) or 'none'}; expected {EXPECTED}")
-    top = geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min()) if len(points) else 0.0
-    if height is not None:
-        top = float(np.nanmax(height, initial=0.0))
-    depth_max = _number(path, content, "depth_max_mm", top)
-    if len(points) and not depth_max > 0:
-        raise DecodeError(
-            f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected more than 0 mm"
-        )
-    name = str(content["object"]) if "object" in content else path.stem
-    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step), name
+        raise DecodeError(f"found the keys {shown(', '.join(sorted(content)) or 'none')}; expected {EXPECTED}")
+    deepest = geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min()) if len(points) else 0.0
+    depth_max = _number(content, "depth_max_mm", deepest if height is None else float(np.nanmax(height, initial=0.0)))
+    most = _DEPTH_PART_MAX * geometry.skin_radius_mm
+    wrong = [depth for depth in (depth_max, max(depth_max, deepest)) if not _DEPTH_MIN_MM <= depth <= most]
+    if len(points) and wrong:
+        expected = f"expected a depth from {_DEPTH_MIN_MM:g} to {most:g} mm"
+        raise DecodeError(f"found a contact whose greatest depth is {wrong[0]:.3g} mm, {expected}")
+    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step)
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -229,44 +233,22 @@ def _content(path: Path) -> dict[str, Any]:
         raise DecodeError(f"{path}: found no such file, expected the image's ground truth: {EXPECTED}") from None
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or error}, expected {EXPECTED}") from None
-    except DecodeError:
-        raise DecodeError(f"{path}: the file is damaged or not an .npz file; expected {EXPECTED}") from None
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}; expected {EXPECTED}") from None
 
 
-def _array(path: Path, content: dict[str, Any], key: str, dimensions: int) -> Any:
-    array = content[key]
-    if array.ndim != dimensions or array.dtype.kind not in "bfiu":
-        raise DecodeError(
-            f"{path}: {key}: found {array.dtype} values of shape {array.shape}, "
-            f"expected numbers in {dimensions} dimensions"
-        )
-    return array
-
-
-def _number(path: Path, content: dict[str, Any], key: str, default: float) -> float:
-    if key not in content:
-        return default
-    value = content[key]
-    if value.size != 1 or value.dtype.kind not in "fiu" or not math.isfinite(value.item()):
-        raise DecodeError(f"{path}: {key}: found {value!r}, expected one number")
-    number = float(value.item())
-    if key == "step_px" and number <= 0:
-        raise DecodeError(f"{path}: step_px: found {number}, expected a number above 0")
-    return number
+def _number(content: Mapping[str, Any], key: str, default: float) -> float:
+    return float(numbers(content, key, 0)) if key in content else default
 
 
 def _check_covers(
-    path: Path,
-    key: str,
-    shape: tuple[int, ...],
-    grid: tuple[float, float, float],
-    image_size_px: tuple[int, int],
+    key: str, shape: tuple[int, ...], grid: tuple[float, float, float], image_size_px: tuple[int, int]
 ) -> None:
     """Raise DecodeError for a map that leaves a margin of a step or more of the image uncovered."""
     step = grid[2]
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
             raise DecodeError(
-                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected cells that cover the "
+                f"{key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected cells that cover the "
                 f"image's {image_size_px[1]}x{image_size_px[0]} px"
             )

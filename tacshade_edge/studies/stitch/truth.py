@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,16 @@ from scipy.spatial import cKDTree
 
 from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.npz import read_arrays
+from tacshade_edge.storage.npz import numbers, read_arrays
 from tacshade_edge.types import F32, F64, U8, frozen
 
 _STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
 _BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
 _FLAT_MM, _FLAT_WITHIN_MM = 0.1, 0.75
-_BYTES_MAX = 256 << 20
-_STEP_MIN_MM, _PLACE_MAX_MM = 0.001, 1e6
+_BYTES_MAX = 64 << 20
+_STEP_MIN_MM = 0.001
+_CELLS_MAX = 1 << 22  # a 100 mm square at 0.05 mm
+_SHAPES_MAX = 1000
 _END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
 
 
@@ -82,28 +85,32 @@ def read_known(path: Path) -> KnownSurface:
     """Read PAD.npz. Raises ConfigError if it is not readable, or not a map."""
     try:
         npz = read_arrays(path, _BYTES_MAX)
-        x0, y0, step = (float(npz[key].item()) for key in ("x0_mm", "y0_mm", "step_mm"))
-        z = npz["z_mm"].astype(np.float32)
-        bars = npz.get("bars_mm", np.zeros((0, 5))).reshape(-1, 5).astype(float)
-        circles = npz.get("circles_mm", np.zeros((0, 4))).reshape(-1, 4).astype(float)
+        x0, y0, step = (float(numbers(npz, key, 0)) for key in ("x0_mm", "y0_mm", "step_mm"))
+        z = numbers(npz, "z_mm", 2, nan=True)
+        if z.size > _CELLS_MAX or not np.isfinite(z).any() or step < _STEP_MIN_MM:
+            found = f"z_mm of shape {z.shape} at steps of {step:g} mm"
+            expected = f"heights in at most {_CELLS_MAX} cells, and a step of at least {_STEP_MIN_MM:g} mm"
+            raise DecodeError(f"found {found}, expected {expected}")
+        shapes = (_shapes(npz, name, columns) for name, columns in (("bars_mm", 5), ("circles_mm", 4)))
+        return KnownSurface(Raster(z.astype(np.float32), x0, y0, step), *shapes)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
-    except (DecodeError, KeyError, ValueError) as error:
+    except (DecodeError, KeyError) as error:
         raise ConfigError(
             f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
         ) from None
-    if z.ndim != 2 or not np.isfinite(z).any() or np.isinf(z).any() or not _STEP_MIN_MM <= step <= _PLACE_MAX_MM:
-        found = f"z_mm of shape {z.shape} at steps of {step:g} mm"
-        raise ConfigError(
-            f"{path}: found {found}, expected a two-dimensional z_mm of finite heights and NaN, "
-            f"and a step of at least {_STEP_MIN_MM:g} mm"
-        )
-    lengths = np.hypot(bars[:, 2] - bars[:, 0], bars[:, 3] - bars[:, 1])
-    places = np.concatenate(((x0, y0), bars.ravel(), circles.ravel()))
-    sizes = np.concatenate((lengths, bars[:, 4], circles[:, 2:].ravel()))
-    if not (np.abs(places) <= _PLACE_MAX_MM).all() or not (sizes > 0).all():
-        raise ConfigError(f"{path}: bars_mm, circles_mm, x0_mm or y0_mm: expected finite places, sizes above 0")
-    return KnownSurface(Raster(z, x0, y0, step), bars, circles)
+
+
+def _shapes(npz: Mapping[str, Any], key: str, columns: int) -> F64:
+    """Bars or circles (N, columns); none without the key. Raises DecodeError."""
+    if key not in npz:
+        return np.zeros((0, columns))
+    shapes = numbers(npz, key, 2).astype(float)
+    lengths = np.hypot(*(shapes[:, 2:4] - shapes[:, :2]).T) if columns == 5 else shapes[:, 2]
+    if shapes.shape[1] != columns or len(shapes) > _SHAPES_MAX or not (np.stack((lengths, shapes[:, -1])) > 0).all():
+        expected = f"at most {_SHAPES_MAX} rows of {columns} numbers, sizes above 0"
+        raise DecodeError(f"{key}: found numbers of shape {shapes.shape}, expected {expected}")
+    return shapes
 
 
 def score(found: Raster, known: KnownSurface) -> Score:
