@@ -246,8 +246,10 @@ def test_without_a_manager_nothing_is_said(address: str | None, monkeypatch: pyt
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     if address is not None:
         monkeypatch.setenv("NOTIFY_SOCKET", address)
-    monkeypatch.setattr(socket, "socket", None)
+    opened: list[object] = []
+    monkeypatch.setattr(socket, "socket", lambda *kind: opened.append(kind))
     notify("READY=1")
+    assert opened == []
 
 
 def test_a_manager_with_an_abstract_address_hears(monkeypatch: pytest.MonkeyPatch) -> None:

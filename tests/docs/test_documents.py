@@ -19,7 +19,6 @@ import tacshade_edge
 import tacshade_edge.doctor
 from tools import results
 from tools.release.docs_site import expand
-from tools.testbed.flange_plan import TURNS_DEG
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -62,25 +61,11 @@ def test_what_it_names_is_there_and_nothing_is_of_a_machine(path: Path) -> None:
     assert OF_A_MACHINE.findall(text) == []
 
 
-def test_there_is_one_way_to_get_it() -> None:
-    """No index has the package: pip takes extras of the clone, and pyproject.toml alone says where that comes from."""
-    texts = {name(path): path.read_text() for path in DOCUMENTS}
-    assert [path for path, text in texts.items() if "REPOSITORY_URL" in text] == []
-    assert re.findall(r"REPOSITORY_URL", (ROOT / "pyproject.toml").read_text()) == ["REPOSITORY_URL"]
-    assert [path for path, text in texts.items() if re.search(r"install (--force )?'?tacshade-edge\[", text)] == []
-
-
 def test_every_check_of_doctor_has_its_row() -> None:
     rows = set(re.findall(r"^\| `([a-z ]+)` \|", (DOCS / "how-to/doctor.md").read_text(), re.MULTILINE))
     code = "".join(path.read_text() for path in Path(tacshade_edge.doctor.__file__).parent.glob("*.py"))
     made = set(re.findall(r'\b(?:ok|warning|fault|_failed)\(\s*"([a-z ]+)"', code)) | {"settings", "source", "picture"}
     assert rows == made
-
-
-def test_the_plan_for_a_robot_is_that_of_the_study_and_the_tests() -> None:
-    plan = (DOCS / "how-to/stitching.md").read_text().partition("### The plan")[2].partition("###")[0]
-    rows = re.findall(r"^\| [^|]*\| (-?\d+) \| (-?\d+) \| (-?\d+) \|$", plan, re.MULTILINE)
-    assert [tuple(int(value) for value in row) for row in rows] == [turn for turns in TURNS_DEG for turn in turns]
 
 
 @pytest.mark.skipif(ARCHIVED, reason="an archive has no history")

@@ -24,13 +24,6 @@ RELEASE = read(".github/workflows/release.yml")
 JOBS: dict[str, Any] = RELEASE["jobs"]
 
 
-def test_the_hooks_run_what_make_lint_runs() -> None:
-    (recipe,) = re.findall(r"^lint:.*\n((?:\t.+\n)+)", MAKEFILE, re.MULTILINE)
-    wanted = [line.strip().removesuffix(" .") for line in recipe.splitlines()]
-    (local,) = read(".pre-commit-config.yaml")["repos"]
-    assert [hook["entry"].removesuffix(" --force-exclude") for hook in local["hooks"]] == wanted
-
-
 def test_the_public_ci_runs_the_pythons_that_are_supported() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     supported = [int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(project["classifiers"]))]
@@ -38,11 +31,6 @@ def test_the_public_ci_runs_the_pythons_that_are_supported() -> None:
     workflow = (ROOT / ".github/workflows/check.yml").read_text(encoding="utf-8")
     assert f'python: ["3.{min(supported)}", "3.{max(supported)}"]' in workflow
     assert re.findall(r"- run: make (\w+)$", workflow, re.MULTILINE) == ["check", "docs", "test"]
-
-
-@pytest.mark.parametrize("path", ["CITATION.cff", *(str(p.relative_to(ROOT)) for p in ROOT.glob(".github/**/*.yml"))])
-def test_the_forge_can_read_it(path: str) -> None:
-    assert read(path)
 
 
 def test_only_a_versions_tag_publishes_and_each_job_has_its_right_alone() -> None:

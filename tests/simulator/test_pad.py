@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -31,21 +30,6 @@ def test_distance_never_overestimates() -> None:
     step = RNG.normal(0, 1, points.shape)
     change = np.abs(PAD.distance_mm(points + step) - PAD.distance_mm(points))
     assert np.all(change <= np.linalg.norm(step, axis=1) + 1e-9)
-
-
-def test_it_is_the_pad_of_figure_7() -> None:
-    bars = [b for b in PAD.bulges if isinstance(b, pads.Bar)]
-    fences = [b for b in bars if b.x0_mm == b.x1_mm]
-    gaps = [b.x0_mm - b.width_mm / 2 - a.x0_mm - a.width_mm / 2 for a, b in itertools.pairwise(fences)]
-    assert {b.width_mm for b in fences} == {2.0, 3.0, 4.0}
-    assert len(set(gaps)) == len(gaps) == 4
-    assert len({b.radius_mm for b in PAD.bulges if isinstance(b, pads.Dot)}) == 2
-    assert sum(isinstance(b, pads.Arc) and b.to_deg - b.from_deg == 360 for b in PAD.bulges) == 1
-    assert sum(isinstance(b, pads.Arc) and b.to_deg - b.from_deg < 360 for b in PAD.bulges) == 2  # the curve
-    z = pads.raster(PAD, 0.25)
-    assert z.shape == (281, 361)
-    assert (z.min(), z.max()) == (0.0, pads.BULGE_HEIGHT_MM)
-    assert 0.1 < np.mean(z > pads.BULGE_HEIGHT_MM / 2) < 0.25
 
 
 @pytest.mark.parametrize(

@@ -119,28 +119,6 @@ def test_noise_has_the_models_variance() -> None:
         assert image.var() == pytest.approx(4.0 + 16.0 * level / 255 + 1 / 12, rel=0.02)
 
 
-def test_surround_is_brighter_or_darker_than_the_disc() -> None:
-    away = np.hypot(*(np.mgrid[:480, :640] - np.array([236.4, 327.7])[:, None, None]))
-    for surround, low, high in (("bright", 40, 256), ("dark", 0, 20)):
-        image = SimulatedSensor(replace(MODEL, surround=surround)).frame().image
-        assert image.shape == (480, 640, 3)
-        assert image.dtype == np.uint8
-        outside = image[away > 210].mean()
-        assert low < outside < high
-    markers = image[away < 100].reshape(-1, 3)
-    assert markers[:, 0].mean() > markers[:, 2].mean()  # bluish
-
-
-def test_light_falls_off_to_the_edge_by_the_vignetting() -> None:
-    model = replace(
-        MODEL, vignetting=0.4, marker_radius_pitches=0.9, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02
-    )
-    white = Renderer(model).draw(undeformed(20.0))
-    away = np.hypot(*(np.mgrid[:480, :640] - np.array([236.4, 327.7])[:, None, None]))
-    middle, edge = np.median(white[away < 20]), np.median(white[(away > 190) & (away < 198)])
-    assert edge / middle == pytest.approx(1 - 0.4 * (194 / 205) ** 2, abs=0.02)
-
-
 @pytest.mark.parametrize(("height", "width", "radius"), [(1, 1, 0.4), (12, 16, 5.0), (24, 40, 30.0)])
 def test_tiny_and_cropped_images(height: int, width: int, radius: float) -> None:
     model = replace(
@@ -158,13 +136,6 @@ def test_tiny_and_cropped_images(height: int, width: int, radius: float) -> None
     assert truth.height_mm[height // 2, width // 2] > 7.0
 
 
-def test_a_deeper_ball_is_brighter() -> None:
-    reference, away = white_ratio(MODEL), rings(MODEL)
-    presses = [Press(OBJECTS["ball"](), 0.5, 0.3, depth_mm) for depth_mm in (0.5, 1.0, 2.0, 4.0)]
-    change = [float((white_ratio(MODEL, press) - reference)[away < 2].mean()) for press in presses]
-    assert np.all(np.diff(change) > 2), change
-
-
 def test_friction_carries_the_skin_along_z() -> None:
     # What sticks keeps its x and y; what slides moves along the radius and so towards the axis.
     press = (Press(OBJECTS["plate"](), 0.0, 0.0, 3.0),)
@@ -175,18 +146,6 @@ def test_friction_carries_the_skin_along_z() -> None:
     x = 20.0 * 5.0 / 20.0 / (1 + (5.0 / 20.0) ** 2 / 4)
     assert at[1.0] == pytest.approx((x, 0.0, 17.0), abs=0.06)  # displaced to first order in h
     assert at[0.0][0] == pytest.approx(17.0 * math.tan(2 * math.atan(5.0 / 40.0)), abs=0.01)
-
-
-def test_no_contact_is_zero_inside_and_nan_outside(small_sensor: SimulatedSensor) -> None:
-    truth = small_sensor.frame().truth()
-    disc = small_sensor.model.geometry.disc
-    rows, cols = np.mgrid[:120, :160]
-    inside = np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px
-    assert np.array_equal(np.isfinite(truth.height_mm), inside)
-    assert not truth.height_mm[inside].any()
-    assert not truth.contact.any()
-    assert truth.points_mm.shape == (0, 3)
-    assert truth.depth_max_mm == 0
 
 
 @pytest.mark.parametrize("camera_distance_mm", [14.0, 6.0, None])
@@ -226,12 +185,6 @@ def test_points_are_the_contact_pixels_skin(small_sensor: SimulatedSensor) -> No
     heights = 20.0 - np.linalg.norm(truth.points_mm, axis=1)
     assert heights == pytest.approx(truth.height_mm[truth.contact], abs=1e-4)
     assert truth.depth_max_mm == pytest.approx(np.nanmax(truth.height_mm))
-
-
-def test_the_skirt_is_deformed_but_not_contact(small_sensor: SimulatedSensor) -> None:
-    truth = small_sensor.frame((Press(ball(5.0), 0.0, 0.0, 3.0),)).truth()
-    skirt = (truth.height_mm > 0.2) & ~truth.contact
-    assert skirt.sum() > 0.5 * truth.contact.sum()
 
 
 @pytest.mark.slow

@@ -77,13 +77,6 @@ def test_no_press_and_a_press_that_does_not_reach_leave_the_skin_alone() -> None
     assert not undeformed(R_MM).height_mm.any()
 
 
-def test_two_presses_are_at_least_as_deep_as_either() -> None:
-    one, other = Press(ball(3.0), -4.0, 0.0, 2.0), Press(ball(3.0), 4.0, 0.0, 2.0)
-    both = press_skin(R_MM, DECAY_MM, [one, other]).height_mm
-    for press in (one, other):
-        assert np.min(both - press_skin(R_MM, DECAY_MM, [press]).height_mm) > -1e-3
-
-
 @pytest.mark.slow
 @given(
     name=st.sampled_from(sorted(OBJECTS)),

@@ -25,7 +25,7 @@ from tacshade_edge.studies.evaluate.report import (
 )
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import Timing
-from tacshade_edge.studies.tables import csv_text, markdown, summary
+from tacshade_edge.studies.tables import csv_text
 
 ROW = Row(
     profile="fast", sensor="default", object="ball", image="", depth_mm=3.0, x_mm=0.0, y_mm=0.0, rotation_deg=0.0,
@@ -80,27 +80,6 @@ ROWS = [
     NULL,
 ]
 TIMINGS = {"fast": Timing(7.25, 15)}
-
-
-def cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def test_table_i_stands_beside_every_profile() -> None:
-    text = table(ROWS, TIMINGS)
-    lines = [cells(line) for line in text.splitlines() if line.startswith("|")]
-    first = text[: text.index("Other objects")].splitlines()[2:-1]
-    assert [cells(line)[:3] for line in first[2:6]] == [
-        ["cube", "Table I (real sensor)", "0.912"],
-        ["cube", "fast", "0.100"],
-        ["small_crescent", "Table I (real sensor)", "0.501"],
-        ["small_crescent", "fast", "0.200"],
-    ]
-    assert len({len(line) for line in first}) == 1  # a terminal shows columns
-    assert next(x for x in lines if x[0] == "mean")[:5] == ["mean", "Table I (real sensor)", "0.639", "", "82.1"]
-    assert ["worst object", "fast", "0.500"] in [x[:3] for x in lines]
-    assert ["ring", "fast", "0.600"] in [x[:3] for x in lines]
-    assert lines[-1] == ["fast", "4 of 5", "1", "0", "0.00", "0", "7.2"]
 
 
 def test_families_are_not_mixed() -> None:
@@ -207,10 +186,3 @@ def test_csv_has_a_column_for_each_field_and_nothing_for_nan() -> None:
     rows = [Line("a, b", True, 1.23456789), Line("", False, math.nan)]
     assert csv_text(Line, rows) == 'name,found,depth_mm\n"a, b",1,1.23457\n,0,\n'
     assert csv_text(Line, []) == "name,found,depth_mm\n"
-
-
-def test_words_lean_left_and_numbers_right() -> None:
-    lines = ["| what  |    mm |", "| :---- | ----: |", "| light |   1.5 |", "|       | 10.25 |"]
-    assert markdown(["what", "mm"], [["light", "1.5"], ["", "10.25"]]).splitlines() == lines
-    groups = [(("light",), (1.5,)), (("",), (10.25,))]
-    assert summary(("what",), groups, {"mm": lambda some: f"{some[0]:g}"}).splitlines() == lines

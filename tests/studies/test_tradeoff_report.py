@@ -6,7 +6,6 @@ import csv
 import io
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,19 +25,6 @@ SETTINGS = [
 ]
 
 
-def test_the_tables_have_a_line_for_each_setting_and_the_intervals() -> None:
-    settings, _, stages = report.table(SETTINGS).split("\n\n")
-    shipped, varied, accurate = settings.splitlines()[2:]
-    assert "| fast     | **as shipped** | 0.200 (0.180 to 0.220) |" in shipped
-    assert "| 1.00 (0.90 to 1.10) |" in shipped
-    assert shipped.endswith("|   yes |")
-    assert "| stride 8 px    |" in varied
-    assert "|                2.00 |" in varied
-    assert "|      |" in accurate
-    assert "0.10 / 0.20" in stages
-    assert len(stages.splitlines()) == 5
-
-
 def test_the_csv_has_a_column_for_each_figure_and_nothing_for_nan() -> None:
     lines = list(csv.DictReader(io.StringIO(report.csv_text(SETTINGS))))
     assert [line["setting"] for line in lines] == ["fast", "fast, stride 8 px", "accurate"]
@@ -46,33 +32,6 @@ def test_the_csv_has_a_column_for_each_figure_and_nothing_for_nan() -> None:
     assert (lines[0]["me_mm"], lines[0]["me_mm_low"], lines[1]["p50_ms_low"]) == ("0.2", "0.18", "")
     assert (lines[0]["gate_p99_ms"], lines[0]["depth_p50_ms"]) == ("0.4", "")
     assert {len(line) for line in lines} == {len(report.record(SETTINGS[0]))}
-
-
-FACTS = {
-    "board": "Pi",
-    "processor": "Cortex-A76",
-    "cores": "4, up to 2400 MHz",
-    "tacshade-edge": "1.0.0",
-    "after": "61",
-}
-BOARD = [point("fast", 0.2, 1.0), replace(point("accurate", 0.1, 3.0), idle_p50_ms=0.5)]
-DOCUMENT = Path(__file__).parents[2] / "docs/reference/boards.md"
-
-
-def test_the_block_has_the_boards_row_and_what_else_is_known() -> None:
-    header, rule, row, *rest = report.board_block(FACTS, BOARD, 1.04).splitlines()
-    assert header == f"| {' | '.join(report.HEADER)} |"
-    assert row == (
-        "| Pi | Cortex-A76, 4 cores | unknown | 1.0.0 | 1.00 / 2.00 |  | 3.00 / 6.00 | 0.30 to 0.50 | 12 | 1.0 |"
-    )
-    assert header.count("|") == rule.count("|") == row.count("|")
-    assert [line for line in rest if line] == [f"- {name}: {text}" for name, text in FACTS.items()]
-
-
-def test_the_documents_table_takes_the_rows() -> None:
-    rows = [line for line in DOCUMENT.read_text().splitlines() if line.startswith("|")]
-    assert rows[0] == f"| {' | '.join(report.HEADER)} |"
-    assert {row.count("|") for row in rows} == {len(report.HEADER) + 1}
 
 
 CHOICES = [point("fast", 0.2, 1.0), point("accurate", 0.15, 3.0), point("paper", 2.0, 500.0)]

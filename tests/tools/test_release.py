@@ -22,7 +22,6 @@ from packaging.version import Version
 from support.booted_machine import LOCK, fetch
 
 from tools.release import distributions, package_debian
-from tools.release.docs_site import DOCS, outside_links, pages_of, slug
 from tools.release.version import UNKNOWN, version, version_of
 
 ROOT = Path(__file__).parents[2]
@@ -92,14 +91,6 @@ def test_the_version_of_a_tree_of_its_archives_and_of_what_is_neither(
     assert version(tree) == UNKNOWN
 
 
-def test_links_of_a_readme_lead_into_the_repository() -> None:
-    given = '[a](../docs/a.md#b) ![a](a.png) <img src="a.webp"> [a](#here) [a](https://example.org)'
-    assert distributions.absolute(given, "client", ADDRESS, "v1") == (
-        f"[a]({ADDRESS}/blob/v1/docs/a.md#b) ![a]({ADDRESS}/raw/v1/client/a.png) "
-        f'<img src="{ADDRESS}/raw/v1/client/a.webp"> [a](#here) [a](https://example.org)'
-    )
-
-
 @pytest.mark.slow
 @needs_git
 @pytest.mark.skipif(
@@ -124,23 +115,6 @@ def test_every_distribution_of_a_tag(tmp_path: Path) -> None:
     if found.returncode:
         pytest.skip(f"built, but twine cannot be fetched here: {found.stderr.strip()[-200:]}")
     distributions.check(files)
-
-
-@pytest.mark.parametrize(("machine", "other"), [("x86_64", "aarch64"), ("aarch64", "x86_64")])
-def test_a_library_for_another_machine_is_refused(tmp_path: Path, machine: str, other: str) -> None:
-    for name, of in (("ours.so", machine), ("theirs.so", other)):
-        head = b"\x7fELF\2\1\1".ljust(18, b"\0") + package_debian.ELF_MACHINES[of].to_bytes(2, "little")
-        (tmp_path / name).write_bytes(head)
-    with pytest.raises(ValueError, match=rf"theirs\.so: expected a file for {machine}"):
-        package_debian.check_machine(tmp_path, machine)
-
-
-def test_the_packages_scripts_are_in_the_language_of_every_debian() -> None:
-    for name in package_debian.SCRIPTS:
-        script = ROOT / "systemd/debian" / name
-        assert script.read_text().startswith("#!/bin/sh\nset -e\n")
-        assert script.stat().st_mode & 0o111
-        assert subprocess.run(["sh", "-n", script], check=False).returncode == 0
 
 
 @pytest.mark.skipif(
@@ -192,22 +166,6 @@ def test_apt_installs_what_make_apt_signed_and_refuses_what_was_changed_afterwar
     done = apt("other", "update")
     assert done.returncode != 0
     assert "signature" in done.stderr
-
-
-def test_the_sites_links_that_leave_the_documents(caplog: pytest.LogCaptureFixture) -> None:
-    page = DOCS / "how-to/service.md"
-    for target, there in (
-        ("../../README.md#get-it", "blob/main/README.md#get-it"),
-        ("../decisions/", "tree/main/docs/decisions"),
-    ):
-        assert outside_links(f"[`a`]({target}).", page, ADDRESS) == f"[`a`]({ADDRESS}/{there})."
-        assert outside_links(f"[`a`]({target}).", page, "") == "`a`."
-    for link in ("[a](doctor.md#x)", "[a](#here)", "![a](../images/hand.webp)", "[a](https://example.org/a)"):
-        assert outside_links(link, page, ADDRESS) == link
-    outside_links("[a](../../NOWHERE.md)", page, "")
-    assert "../../NOWHERE.md" in caplog.text
-    assert slug("`SENSOR.yaml`: what you know of the sensor") == "sensoryaml-what-you-know-of-the-sensor"
-    assert pages_of("decisions/", DOCS)[0] == "decisions/0001-opencv-5.md"
 
 
 def entries() -> list[tuple[Requirement, list[str]]]:

@@ -11,7 +11,7 @@ import pytest
 from support.half_family import half_family
 from support.progress_lines import only_progress
 
-from tools.studies import drag, evaluate, limits, sigma, slip
+from tools.studies import drag, limits, sigma
 
 ONE_OBJECT = ["--objects", "ball", "--profile", "fast", "--references", "1", "--presses", "8"]
 SMALL_PLAN = partial(
@@ -53,34 +53,3 @@ def test_one_writes_its_table_its_rows_and_its_plots(
         with (tmp_path / f"{name}{end}.csv").open(encoding="utf-8") as file:
             assert len(list(csv.DictReader(file))) == count
     assert len([plot for plot in tmp_path.glob("*.png") if plot.stat().st_size > 10_000]) == plots
-
-
-@pytest.mark.parametrize(
-    ("study", "words", "message"),
-    [
-        (drag, ["--presses", "3"], "--presses: found 3, expected 0 or at least 8"),
-        (sigma, ["--profile", "paper"], "found paper, which gives no errors"),
-        (slip, ["--sensors", "other:31"], "--sensors: only the family tacshade"),
-        (limits, ["--sensors", "5", "--final"], "not allowed with argument --sensors"),
-        (evaluate, ["--sensors", "5,tacshade:12345"], "--sensors: seeds from 9000 on are kept for --final"),
-        (evaluate, ["--sensors", "5", "--final"], "--final does not go with --sensors"),
-        (evaluate, ["--final", "--calibration", "x", "--images", "x"], "--sensors is for simulated sensors"),
-    ],
-)
-def test_usage_mistakes_exit_2(
-    study: ModuleType, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        study.main(words)
-    assert left.value.code == 2
-    assert message in capsys.readouterr().err
-
-
-def test_an_output_that_is_a_file_is_one_line_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(SystemExit) as left:
-        limits.main(["--out", str(tmp_path / "file")])
-    assert left.value.code == 1
-    assert capsys.readouterr().err.count("\n") == 1

@@ -77,25 +77,29 @@ class TestAway:
 @broker_test
 @needs_mosquitto
 class TestStalled:
-    def stall(self, rig: Rig, broker: Broker, subscriber: Subscriber, seconds: float) -> None:
-        """Frames at 60/s and a flapping status while the broker hangs: bounded, accounted for, back in 3 s."""
+    @pytest.mark.slow
+    def test_a_broker_that_takes_nothing_for_longer_than_two_keepalives(
+        self, rig: Rig, broker: Broker, subscriber: Subscriber
+    ) -> None:
+        """As many frames as in a minute, and a flapping status: bounded, accounted for, back in 3 s."""
+        seconds, fps = 22, 164
         offered = offer_for(rig, 0.2)
         subscriber.wait_for(f"{BASE}/height")
         broker.stall()
         tracemalloc.start()
         try:
-            for _ in range(round(seconds)):
-                for n in range(200):
+            for _ in range(seconds):
+                for n in range(500):
                     rig.link.set_retained("status/camera", f"{n}".encode() + bytes(1000))
-                offered += offer_for(rig, 1.0, first=offered)
+                offered += offer_for(rig, 1.0, fps, first=offered)
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        assert peak < 2_000_000, f"{peak} bytes for {seconds * 60 * 38_000:.0f} offered"
+        assert peak < 2_000_000, f"{peak} bytes for {offered * 38_000} offered"
         rig.link.set_retained("status/camera", b"last")
         counts = rig.counts("height")
         assert offered - 3 <= counts.total() <= offered - 1
-        assert counts["superseded"] + counts["failed"] > 0.3 * seconds * 60
+        assert counts["superseded"] + counts["failed"] > 0.3 * seconds * fps
         broker.resume()
         come_back(rig, subscriber, offered)
         promised(lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"], BACK_S, "the newest status")
@@ -106,13 +110,6 @@ class TestStalled:
         settled = sorted(seq for seq, _ in rig.outcomes["height"])
         assert settled == list(range(settled[-1] + 1))
         assert settled[-1] >= offered
-
-    def test_stalled_for_seconds(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
-        self.stall(rig, broker, subscriber, 6)
-
-    @pytest.mark.slow
-    def test_stalled_for_a_minute(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
-        self.stall(rig, broker, subscriber, 60)
 
     def test_short_stall_ends_with_the_newest_frame(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
         broker.stall()
