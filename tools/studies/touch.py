@@ -4,11 +4,14 @@
 ::
 
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
-    .venv/bin/python -m tools.studies.touch out/real/tactile_data_shear
+    git clone https://github.com/robot-dexterity/tactile-manibot out/real/tactile-manibot
+    .venv/bin/python -m tools.studies.touch plates out/real/tactile_data_shear
+    .venv/bin/python -m tools.studies.touch force out/real/tactile-manibot
 
-The study uses only `cr_tactip` of that set, which has no licence and stays outside the tree. Every frame counts: if
-the model has no answer, the labels' mean is the guess. `random` draws the labels from all frames and judges the others;
-`grouped` learns from one run of the robot (train_data) and judges another (val_data).
+`plates` is `cr_tactip` of the first set, which has no licence, `force` one sensor of the second (GPL), with measured
+forces: both stay outside the tree. Every frame counts: if the model has no answer, the labels' mean is the guess.
+`random` draws the labels from all frames and judges the others; `grouped` learns from one run of the robot and judges
+another.
 """
 
 from __future__ import annotations
@@ -17,13 +20,14 @@ import argparse
 import resource
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model
@@ -33,20 +37,47 @@ from tacshade_edge.inference.network import load_network
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
-from tools.studies.real_frames import PUBLISHED, SENSOR, forced, rows_of
+from tools.studies.real_frames import SENSOR, SENSORS, forced, rows_of
 
-FOLDER = "data/cr_tactip/surface_3d"
-RUNS = ("train_data", "val_data")
-COLUMNS = {
-    "pose_z": "depth_mm",
-    "pose_Rx": "tilt_x_deg",
-    "pose_Ry": "tilt_y_deg",
-    "shear_x": "shear_x_mm",
-    "shear_y": "shear_y_mm",
-    "shear_Rz": "twist_deg",
+_POSE = {"pose_z": "depth_mm", "pose_Rx": "tilt_x_deg", "pose_Ry": "tilt_y_deg"}
+_DRAG = {"shear_x": "shear_x_mm", "shear_y": "shear_y_mm", "shear_Rz": "twist_deg"}
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSet:
+    """Two runs of a robot: table, folder of pictures, labels by column, what is shown of them, and published errors."""
+
+    folder: str
+    runs: tuple[str, str]
+    table: str
+    pictures: str
+    columns: Mapping[str, str]
+    shown: Mapping[str, tuple[int, ...]]
+    published: tuple[str, ...]
+    sensor: Sensor = SENSOR
+
+
+SETS = {
+    "plates": RobotSet(
+        "data/cr_tactip/surface_3d",
+        ("train_data", "val_data"),
+        "targets_images.csv",
+        "processed_images",
+        _POSE | _DRAG,
+        {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)},
+        ("published networks", "4002", "", "0.106", "0.32", "0.78", "1.48", "", "", ""),
+    ),
+    "force": RobotSet(
+        "tactile_data/ur5_tacpad_1/surface_zRxy_shear",
+        ("train", "val"),
+        "targets.csv",
+        "sensor_images",
+        _POSE | _DRAG | {"Fx": "force_x_n", "Fy": "force_y_n", "Fz": "force_z_n"},
+        {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,), "Fx, Fy N": (6, 7), "Fz N": (8,)},
+        ("published network", "6425", "", "0.111", "1.04", "", "", "", "", "", "", ""),
+        SENSORS["tilted"],
+    ),
 }
-NAMES = tuple(COLUMNS.values())
-SHOWN = {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)}
 LABELS = (4000, 400, 100, 40)
 JUDGED = 1000
 
@@ -82,16 +113,16 @@ class Taker:
         return found
 
 
-def seen(clone: Path, profile: str) -> Frames:
+def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
     """Run the networks over every frame once."""
     pictures, labels, second = [], [], []
-    for run in RUNS:
-        for row in rows_of(clone / FOLDER / run / "targets_images.csv"):
-            pictures.append(clone / FOLDER / run / "processed_images" / row["sensor_image"])
-            labels.append([float(row[name]) for name in COLUMNS])
-            second.append(run == RUNS[1])
+    for run in robot.runs:
+        for row in rows_of(clone / robot.folder / run / robot.table):
+            pictures.append(clone / robot.folder / run / robot.pictures / row["sensor_image"])
+            labels.append([float(row[name]) for name in robot.columns])
+            second.append(run == robot.runs[1])
     known, later = np.array(labels), np.array(second)
-    taker = Taker(forced(SENSOR, [pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
+    taker = Taker(forced(robot.sensor, [pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
     usable = np.array([taker.take(read_image(path)) is not None for path in pictures])
     features, shown = (np.zeros((len(pictures), len(one[0])), np.float32) for one in (taker.features, taker.imprints))
     features[usable], shown[usable] = taker.features, taker.imprints
@@ -108,7 +139,7 @@ class Score:
     learning_s: float
 
 
-def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
+def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: int) -> Score:
     """Learn from `count` frames and judge `JUDGED` others."""
     random = np.random.default_rng(seed)
     if split == "random":
@@ -119,7 +150,7 @@ def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
     taught = taught[frames.usable[taught]]
     began_s = time.monotonic()
     learnt = learn(
-        frames.features[taught], frames.imprints[taught], NAMES, frames.labels[taught], np.arange(len(taught)), "study"
+        frames.features[taught], frames.imprints[taught], names, frames.labels[taught], np.arange(len(taught)), "study"
     )
     learning_s = time.monotonic() - began_s
     errors = np.abs(frames.labels[judged] - frames.labels[taught].mean(axis=0))
@@ -128,7 +159,7 @@ def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
         if not frames.usable[at] or learnt.model is None:
             continue
         touch = touch_by_model(learnt.model, frames.features[at], frames.imprints[at])
-        for q, name in enumerate(NAMES):
+        for q, name in enumerate(names):
             value, sigma = touch.values.get(name), touch.sigma.get(name)
             if value is not None and sigma is not None:
                 errors[k, q] = abs(frames.labels[at, q] - value)
@@ -137,16 +168,16 @@ def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
     return Score(errors.mean(axis=0), holds, float(np.isnan(covered[:, 0]).mean()), learning_s)
 
 
-def report(clone: Path, profiles: Sequence[str], counts: Sequence[int]) -> None:
+def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequence[int]) -> None:
     """Measure, print."""
-    lines: list[tuple[str, ...]] = [("published networks", "4002", "", "0.106", "0.32", "0.78", "1.48", "", "", "")]
+    lines, names = [robot.published], tuple(robot.columns.values())
     for profile in profiles:
-        frames = seen(clone, profile)
+        frames = seen(robot, clone, profile)
         left = int((~frames.usable).sum())
         print(f"{profile}: {left} of {len(frames.usable)} frames are not usable", file=sys.stderr)
         for split in ("random", "grouped"):
             for count in counts:
-                scores = [scored(frames, split, count, seed) for seed in range(1 if count > 400 else 4)]
+                scores = [scored(frames, names, split, count, seed) for seed in range(1 if count > 400 else 4)]
                 errors = np.mean([one.errors for one in scores], axis=0)
                 holds = np.mean([one.holds for one in scores], axis=0)
                 lines.append(
@@ -154,22 +185,22 @@ def report(clone: Path, profiles: Sequence[str], counts: Sequence[int]) -> None:
                         profile,
                         str(count),
                         split,
-                        *(f"{errors[list(columns)].mean():.3f}" for columns in SHOWN.values()),
+                        *(f"{errors[list(columns)].mean():.3f}" for columns in robot.shown.values()),
                         f"{np.nanmin(holds):.2f} to {np.nanmax(holds):.2f}",
                         f"{100 * np.mean([one.unanswered for one in scores]):.1f} %",
                         f"{np.mean([one.learning_s for one in scores]):.1f}",
                     )
                 )
-    columns = ("", "labels", "split", *SHOWN, "90 % intervals hold", "no answer", "learning, s")
+    columns = ("", "labels", "split", *robot.shown, "90 % intervals hold", "no answer", "learning, s")
     print(markdown(columns, lines))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     print(f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB.")
-    print(f"Published: {PUBLISHED}.")
 
 
 def main(arguments: Iterable[str] | None = None) -> int:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("set", choices=SETS)
     parser.add_argument("clone", type=Path)
     parser.add_argument(
         "--profile", nargs="+", choices=("fast", "balanced", "accurate"), default=("balanced", "accurate")
@@ -178,7 +209,7 @@ def main(arguments: Iterable[str] | None = None) -> int:
     args = parser.parse_args(None if arguments is None else list(arguments))
     cv2.setNumThreads(1)
     try:
-        report(args.clone, args.profile, args.labels)
+        report(SETS[args.set], args.clone, args.profile, args.labels)
     except (ConfigError, OSError) as error:
         print(f"touch.py: {error}", file=sys.stderr)
         return 1

@@ -37,7 +37,9 @@ from tools.studies.third_family.domes import (
     renderer,
 )
 from tools.studies.third_family.evaluate import calibrated
-from tools.studies.touch import NAMES, SHOWN, Taker
+from tools.studies.touch import SETS, Taker
+
+NAMES, SHOWN = tuple(SETS["plates"].columns.values()), SETS["plates"].shown
 
 RANGE, SENSOR = "working", 0
 COUNTS = {"plate": 75, "ball": 10, "bar": 10}
