@@ -78,7 +78,7 @@ PAGES = {
     ),
     "tradeoff": Page(
         {"": "tacshade_edge tradeoff"},
-        r"^(Stages of|IoU|SD %|depth off|fps|missed|phantoms|p99)|whole disc|TV |stride [28]|window|^paper \| halved",
+        r"^(Stages of|IoU|SD %|depth off|fps|missed|phantoms|p99)|TV |stride 8|window|^paper \| halved",
         idle=True,
         drawn=("tradeoff.png",),
         own=("tacshade_edge/studies",),

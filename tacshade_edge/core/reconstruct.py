@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import overload
 
@@ -20,7 +19,6 @@ from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import Judges, Measured, first_reason, light, size_reason, skin
-from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -32,7 +30,6 @@ from tacshade_edge.types import (
     Bool,
     Calibration,
     Frame,
-    Geometry,
     HeightMap,
     Need,
     ObjectCloud,
@@ -43,9 +40,6 @@ from tacshade_edge.types import (
 
 STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")
 """All stages that a step may mark, in order; it does not mark a stage that did not run."""
-
-FindObjects = Callable[[Bool, F32, F32 | None, DiscRays, Geometry], Objects | None]
-"""The signature of `core.contact.objects.find_objects`."""
 
 
 def no_mark(stage: str) -> None:
@@ -67,7 +61,6 @@ class Reconstructor:
         profile: Profile,
         network: Network | None = None,
         make_solver: MakeSolver | None = None,
-        find_objects: FindObjects = find_objects,
         touch: TouchModel | Reason | list[F32] | None = None,
     ) -> None:
         self.calibration = calibration
@@ -82,7 +75,6 @@ class Reconstructor:
         self._gate = ContactGate(seen)
         self._gate_part = self._gate.least_part if network else self._gate.plain_part
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
-        self._find_objects = find_objects
         self._touch = touch
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
@@ -155,7 +147,7 @@ class Reconstructor:
         # The map without contact, 0 or NaN, adds NaN outside the disc.
         height_mm = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm)) + self._zero_mm
         contact = contact_of(depth, self.rays.inside)
-        objects = self._find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
+        objects = find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
             self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)

@@ -36,7 +36,7 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calib
 
 def test_the_whole_grid_has_every_profile_and_no_setting_twice() -> None:
     settings = grid(list(PROFILES))
-    assert len(settings) <= 40
+    assert len(settings) <= 16
     assert len(settings) == len(set(settings)) == len({str(setting) for setting in settings})
     assert [setting.profile.name for setting in settings if setting.shipped] == list(PROFILES)
     assert all(bool(setting.varied) != setting.shipped for setting in settings)
@@ -51,7 +51,6 @@ def test_what_differs_is_what_runs() -> None:
         Setting(paper),
         Setting(replace(paper, stride_px=4)),
         Setting(paper, scaled_grey=True),
-        Setting(paper, tv_iterations=2),
         *(Setting(paper, tv_precision=precision) for precision in DENOISERS if precision != "float32"),
     )
     fine, coarse, grey, *denoised = (make(setting, calibration).step(frame) for setting in settings)
@@ -59,16 +58,6 @@ def test_what_differs_is_what_runs() -> None:
     assert grey.height.height_mm.tobytes() != fine.height.height_mm.tobytes()
     heights = {found.height.height_mm.tobytes() for found in (fine, *denoised)}
     assert len(heights) == 1 + len(denoised)
-
-
-@pytest.mark.parametrize("name", ["fast", "paper"])
-def test_over_the_whole_disc_the_same_objects_are_found(name: str) -> None:
-    frame, calibration = Frame(0, 0, 0, TOUCHED), painted_calibration()
-    box, disc = (make(Setting(PROFILES[name], whole), calibration).step(frame) for whole in (False, True))
-    assert box.contact
-    assert len(box.cloud.points_mm) > 0
-    assert box.cloud.points_mm.tobytes() == disc.cloud.points_mm.tobytes()
-    np.testing.assert_array_equal(box.height.contact, disc.height.contact)
 
 
 pytestmark = pytest.mark.slow  # it calibrates, renders and starts interpreters

@@ -9,21 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.contact.objects import Objects, find_objects, objects_in
 from tacshade_edge.core.depth import Depth, MakeSolver
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, finite_shape_grey, hybrid_depth, scaled
-from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.core.image.greyscale import ITERATIONS_MAX, chambolle
+from tacshade_edge.core.image.greyscale import chambolle
 from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.types import F32, Bool, Calibration, Geometry
+from tacshade_edge.types import F32, Calibration
 
 
-def chambolle_float64(image: F32, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
+def chambolle_float64(image: F32, weight: float) -> F32:
     """`chambolle` in float64."""
-    return chambolle(image.astype(np.float64), weight, iterations).astype(np.float32)
+    return chambolle(image.astype(np.float64), weight).astype(np.float32)
 
 
 def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
@@ -32,11 +30,11 @@ def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
     return scaled(g_hn.astype(np.float64), alpha_mm, bad)
 
 
-DENOISERS: Mapping[str, Callable[[F32, float, int], F32]] = {
+DENOISERS: Mapping[str, Callable[[F32, float], F32]] = {
     "float32": chambolle,
     "float64": chambolle_float64,
 }
-"""The total-variation denoising in each precision, from an image of 0 to 1, a weight and the most iterations."""
+"""The total-variation denoising in each precision, from an image of 0 to 1 and a weight."""
 
 WORDS: dict[str, Callable[[Any], str]] = {
     "solver": "solver {}".format,
@@ -44,32 +42,19 @@ WORDS: dict[str, Callable[[Any], str]] = {
     "stride_px": "stride {} px".format,
     "window_pitches": "window {} pitch".format,
     "tv_weight": "TV {:g}".format,
-    "tv_iterations": "TV {} times".format,
     "tv_precision": "TV {}".format,
 }
 """The varied fields, and a formatter of each."""
 
-_AROUND_NETWORK: tuple[dict[str, Any], ...] = (
-    {"stride_px": 2},
-    {"stride_px": 8},
-    {"window_pitches": 1},
-    {"window_pitches": 3},
-)
 # A frame takes half a second at stride 1; only the decisive variations use it.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"scaled_grey": True},
     {"tv_precision": "float64"},
     {"halved": True},
-    {"stride_px": 2},
     {"stride_px": 4},
     {"stride_px": 8},
     {"stride_px": 4, "window_pitches": 1},
-    {"stride_px": 4, "window_pitches": 3},
     {"stride_px": 4, "tv_weight": 0.0},
-    {"stride_px": 4, "tv_weight": 0.05},
-    {"stride_px": 4, "tv_weight": 0.2},
-    {"stride_px": 4, "tv_iterations": 5},
-    {"stride_px": 4, "tv_iterations": 10},
     {"stride_px": 4, "scaled_grey": True},
 )
 
@@ -79,9 +64,7 @@ class Setting:
     """A way to reconstruct."""
 
     profile: Profile  # a shipped one, or a variation with its name, network and factor
-    whole_disc: bool = False  # search for objects everywhere instead of in the bounding box of the contact
     scaled_grey: bool = False  # the paper's method without eq. 11
-    tv_iterations: int = ITERATIONS_MAX
     tv_precision: str = "float32"  # key of `DENOISERS`
 
     @property
@@ -94,7 +77,6 @@ class Setting:
         """The fields that may vary (`WORDS`), with their values."""
         own = {
             "solver": "grey" if self.scaled_grey else self.profile.solver,
-            "tv_iterations": self.tv_iterations,
             "tv_precision": self.tv_precision,
         }
         return {field: own[field] if field in own else getattr(self.profile, field) for field in WORDS}
@@ -104,7 +86,7 @@ class Setting:
         """The differences from the shipped profile; empty for that profile itself."""
         base = Setting(PROFILES[self.profile.name]).fields
         words = [WORDS[field](value) for field, value in self.fields.items() if value != base[field]]
-        return ", ".join((*words, *(("whole disc",) if self.whole_disc else ())))
+        return ", ".join(words)
 
     def __str__(self) -> str:
         """The setting's name for people, unique in a grid."""
@@ -115,10 +97,9 @@ def grid(names: Sequence[str]) -> tuple[Setting, ...]:
     """The shipped profiles of these names, each followed by its variations."""
     settings = []
     for profile in (PROFILES[name] for name in names):
-        around = ({"halved": not profile.halved}, *_AROUND_NETWORK) if profile.network else _AROUND_PAPER
+        around = ({"halved": not profile.halved},) if profile.network else _AROUND_PAPER
         settings.append(Setting(profile))
         settings += [_changed(profile, changes) for changes in around]
-        settings.append(Setting(profile, whole_disc=True))
     return tuple(settings)
 
 
@@ -135,19 +116,9 @@ def make(setting: Setting, calibration: Calibration) -> Reconstructor:
         profile,
         load_network(profile.network) if profile.network else None,
         None if profile.network else _hybrid_sfs(setting),
-        _find_everywhere if setting.whole_disc else find_objects,
     )
 
 
 def _hybrid_sfs(setting: Setting) -> MakeSolver:
-    def denoise(image: F32, weight: float) -> F32:
-        return DENOISERS[setting.tv_precision](image, weight, setting.tv_iterations)
-
-    return partial(HybridSfs, denoise=denoise, depth=scaled_grey if setting.scaled_grey else hybrid_depth)
-
-
-def _find_everywhere(
-    contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
-) -> Objects | None:
-    rows, cols = contact.shape
-    return objects_in((slice(0, rows), slice(0, cols)), contact, height_mm, shear_mm, rays, geometry)
+    denoise, depth = DENOISERS[setting.tv_precision], scaled_grey if setting.scaled_grey else hybrid_depth
+    return partial(HybridSfs, denoise=denoise, depth=depth)

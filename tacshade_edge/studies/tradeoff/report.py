@@ -68,7 +68,6 @@ def record(point: Point) -> dict[str, Any]:
         "profile": point.setting.profile.name,
         "shipped": point.setting.shipped,
         **point.setting.fields,
-        "whole_disc": point.setting.whole_disc,
         **{name: getattr(point, name) for name in ("front", "presses", "missed", "untouched", "phantoms")},
     }
     for name in _ESTIMATES:
