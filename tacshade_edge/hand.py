@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from tacshade_edge.core.hand.link import Patch
-from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
+from tacshade_edge.core.hand import ObjectMotion, ObjectTracker, Patch
 from tacshade_edge.protocol.hand import away, rounded_triple
 from tacshade_edge.protocol.topics import Finger, HandObjects, Motion, Unobservable
 from tacshade_edge.reasons import Reason, ReasonCode

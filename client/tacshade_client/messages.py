@@ -6,8 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, Final
 
-from .core.geometry.back_projection import skin_points
-from .core.geometry.disc import Grid, disc_rays
+from .core.geometry.disc import Grid, disc_rays, skin_points
 from .errors import DecodeError
 from .protocol.topics import OF_HANDS, OF_SENSORS, InfoGeometry
 from .protocol.wire_format import HeightMessage

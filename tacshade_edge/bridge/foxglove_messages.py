@@ -31,8 +31,7 @@ from foxglove.messages import (
     Vector3,
 )
 
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.protocol.topics import Contact, Info
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.types import F32

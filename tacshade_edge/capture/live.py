@@ -13,7 +13,7 @@ import numpy as np
 
 from tacshade_edge.capture.page import Page, Shown
 from tacshade_edge.capture.terminal import Terminal
-from tacshade_edge.core.calibration.reference.stillness import block_means, motion_grey, stands_still
+from tacshade_edge.core.calibration.reference.references import block_means, motion_grey, stands_still
 from tacshade_edge.core.calibration.reference.view import Pattern, find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource

@@ -16,7 +16,7 @@ from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE, advice
-from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.calibration.reference.references import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network

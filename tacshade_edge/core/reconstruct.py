@@ -13,7 +13,7 @@ from tacshade_edge.core.contact.gate import (
     UnchangedSkin,
     gate_preprocessor,
 )
-from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
+from tacshade_edge.core.contact.objects import contact_of, find_objects
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
@@ -80,10 +80,21 @@ class Reconstructor:
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._sigma = None if network is None else network.sigma
-        self._no_sigma_mm = None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32)
-        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.has_shear else None
-        self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
-        self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
+        self._nothing = Reconstruction(
+            seq=0,
+            t_ns=0,
+            wall_ns=0,
+            profile=profile.name,
+            valid=True,
+            reason=None,
+            contact=False,
+            saturated=False,
+            degraded=None,
+            height=self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool)),
+            cloud=ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)),
+            shear_mm=np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.has_shear else None,
+            sigma_mm=None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32),
+        )
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
         self._white_space = seen.integrator.space()
         self._own_white_space = (
@@ -158,7 +169,20 @@ class Reconstructor:
         if Need.SIGMA in need:
             sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
             mark("sigma")
-        whole = self._whole(frame, degraded, depth, height_mm, shear_mm, sigma_mm, objects)
+        untrusted = depth.untrusted if depth.untrusted is not None and depth.untrusted.any() else None
+        whole = replace(
+            self._empty(frame, degraded=degraded),
+            contact=True,
+            saturated=depth.saturated,
+            height=self._map(height_mm, objects.contact),
+            cloud=objects.cloud,
+            objects=objects.described,
+            volume_mm3=objects.volume_mm3,
+            repaired_px=depth.repaired_px,
+            shear_mm=shear_mm,
+            sigma_mm=sigma_mm,
+            untrusted=None if untrusted is None else untrusted & self.rays.inside,
+        )
         return self._with_touch(whole, features, mark) if Need.TOUCH in need else whole
 
     def measured(self, image: U8) -> tuple[Measured, ...]:
@@ -199,54 +223,16 @@ class Reconstructor:
         made[contact] = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
         return made
 
-    def _whole(
-        self,
-        frame: Frame,
-        degraded: Reason | None,
-        depth: Depth,
-        height_mm: F32,
-        shear_mm: F32 | None,
-        sigma_mm: F32 | None,
-        objects: Objects,
-    ) -> Reconstruction:
-        return Reconstruction(
-            seq=frame.seq,
-            t_ns=frame.t_ns,
-            wall_ns=frame.wall_ns,
-            profile=self.profile.name,
-            valid=True,
-            reason=None,
-            contact=True,
-            saturated=depth.saturated,
-            degraded=degraded,
-            height=self._map(height_mm, objects.contact),
-            cloud=objects.cloud,
-            objects=objects.described,
-            volume_mm3=objects.volume_mm3,
-            repaired_px=depth.repaired_px,
-            shear_mm=shear_mm,
-            sigma_mm=sigma_mm,
-            untrusted=depth.untrusted & self.rays.inside
-            if depth.untrusted is not None and depth.untrusted.any()
-            else None,
-        )
-
     def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:
         """The reconstruction without contact or of an invalid frame: exactly 0 inside the disc."""
-        return Reconstruction(
+        return replace(
+            self._nothing,
             seq=frame.seq,
             t_ns=frame.t_ns,
             wall_ns=frame.wall_ns,
-            profile=self.profile.name,
             valid=reason is None,
             reason=reason,
-            contact=False,
-            saturated=False,
             degraded=degraded,
-            height=self._empty_map,
-            cloud=self._empty_cloud,
-            shear_mm=self._no_shear_mm,
-            sigma_mm=self._no_sigma_mm,
         )
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:

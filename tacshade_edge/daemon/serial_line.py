@@ -11,7 +11,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, Protocol
 
-from tacshade_edge.core.stitching.poses import PoseBuffer
+from tacshade_edge.core.stitching.press_points import PoseBuffer
 from tacshade_edge.daemon.observer import FrameWaiters
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
-from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster, Stitcher
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionEnded, SessionStatus

@@ -13,11 +13,15 @@ from typing import Final
 import cv2
 import numpy as np
 
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.hand import Finger, HandScript, Placement, follow, lathed
 from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.parallel import workers
+from tacshade_edge.types import Calibration
 
 HAND_ID: Final = "demo"
 FPS: Final = 10
@@ -161,3 +165,19 @@ def _draw(task: tuple[Path, str, int]) -> list[Path]:
             cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
         drawn.append(by_skin[key])
     return drawn
+
+
+REFERENCES, PRESSES = 5, 20
+
+
+def make_calibration() -> Calibration:
+    """Calibrate the demo's simulated sensor; this takes one or two seconds."""
+    model = SensorModel()
+    simulated = SimulatedSensor(model)
+    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    references = [simulated.frame(noise_seed=seed).image for seed in range(REFERENCES)]
+    presses = []
+    for k, (press, radius_mm) in enumerate(ball_presses(model, PRESSES)):
+        image = simulated.frame([press], noise_seed=REFERENCES + k).image
+        presses.append(KnownPress(f"press {k}", image, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
+    return calibrate(sensor, references, presses).calibration

@@ -19,7 +19,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.rpicam import PROGRAM
-from tacshade_edge.devices.camera.v4l2_controls import AUTOMATICS, Lock
+from tacshade_edge.devices.camera.v4l2_node import AUTOMATICS, Lock
 from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
 from tacshade_edge.doctor import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix

@@ -11,8 +11,7 @@ import numpy as np
 
 from tacshade_edge.core.contact.objects import find_objects
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.geometry.back_projection import cells_that_see
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, cells_that_see, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.protocol.topics import (

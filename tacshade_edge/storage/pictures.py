@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Geometry, HeightMap, Reconstruction

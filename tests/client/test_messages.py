@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from support.published_sensor import CRC, bump, calibration, dragged, health
 from tacshade_client.protocol.topics import OF_SENSORS, SlipEvent, _json
 
-import tacshade_edge.core.geometry.back_projection as core
+import tacshade_edge.core.geometry.disc as core
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.codec import encode_json

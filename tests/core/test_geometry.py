@@ -8,15 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import cell_area_mm2, cells_that_see, skin_planes, skin_points
 from tacshade_edge.core.geometry.disc import (
     DiscRays,
     Grid,
     Window,
+    cell_area_mm2,
     cells_in_image,
+    cells_that_see,
     disc_mask,
     disc_rays,
     radius_squared,
+    skin_planes,
+    skin_points,
 )
 from tacshade_edge.core.geometry.visible_circle import (
     LEAST_APART,

@@ -21,8 +21,7 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
-from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster, StitchedMap, Stitcher
 from tacshade_edge.daemon import session as map_publisher
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session, thinned_points
@@ -175,7 +174,7 @@ from pathlib import Path
 import numpy as np
 from tools.testbed.painted_sensor import painted_calibration
 from tacshade_edge.core.stitching.press_points import PressPoints
-from tacshade_edge.core.stitching.surface_map import EXTENT_MAX_TILES, TILES_MAX
+from tacshade_edge.core.stitching.stitcher import EXTENT_MAX_TILES, TILES_MAX
 from tacshade_edge.daemon.session import Session
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.rigid import Rigid

@@ -13,7 +13,7 @@ from support.dashboard_process import dashboard
 from support.page_server import run
 from support.published_sensor import PublishedSensor
 
-from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import Broker, Subscriber
 

@@ -13,7 +13,7 @@ from support.page_server import TOKEN, answer, client_through, echo, get, runnin
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tacshade_edge.dashboard import files
+from tacshade_edge.dashboard import server
 from tacshade_edge.dashboard.access import PERIOD_S, WRONG_MAX, Login, offered, refusal
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, certificate
 from tools.testbed.patience import wait_until
@@ -71,7 +71,7 @@ async def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog
 
 async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
     async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
-        for path in sorted(files.load()):
+        for path in sorted(server.load()):
             status, headers, body = await get(port, path)
             if path in ("/", "/index.html"):
                 assert (status, headers["location"], body) == (303, "login", b"")

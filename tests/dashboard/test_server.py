@@ -13,11 +13,11 @@ import pytest
 from support.page_server import answer, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tacshade_edge.dashboard import files
+from tacshade_edge.dashboard import server
 from tacshade_edge.dashboard.server import CONNECTIONS_MAX, PAGES_MAX
 from tools.testbed.mqtt_rig import certificate
 
-STATIC = Path(files.__file__).parent / "static"
+STATIC = Path(server.__file__).parent / "static"
 
 
 async def test_the_page_and_all_that_it_names_is_served() -> None:

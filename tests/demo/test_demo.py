@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.cli import main
-from tacshade_edge.demo.broker import broker_command
-from tacshade_edge.demo.child import Child, free_port, wait_for_port
+from tacshade_edge.demo.child import Child, broker_command, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import wait_until

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from paho.mqtt.client import topic_matches_sub
 
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.daemon.session import MapPublisher, MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import ReasonCode

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Rpicam, Serial, Simulated, load, load_all, load_hand, strict_yaml
-from tacshade_edge.settings.printer_file import read_printer
-from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.settings.sensor_file import read_printer, read_sensor
 from tacshade_edge.storage.tables.indenters import read_indenters_file
 
 TWO = """\

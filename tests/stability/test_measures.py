@@ -20,8 +20,7 @@ from tacshade_edge.core.calibration.indenters import Ball
 from tacshade_edge.core.contact.objects import BINS, find_objects, two_means_split
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_points
-from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays
+from tacshade_edge.core.geometry.disc import DiscRays, Grid, cell_area_mm2, disc_rays, skin_points
 from tacshade_edge.core.geometry.disc_map import CELLS
 from tacshade_edge.studies.evaluate.score import contact_iou, score_cloud
 from tacshade_edge.types import F32, Disc, Geometry

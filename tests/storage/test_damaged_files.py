@@ -25,8 +25,7 @@ from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import DecodeError, TacshadeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.settings import load
-from tacshade_edge.settings.printer_file import read_printer
-from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.settings.sensor_file import read_printer, read_sensor
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file, reference_file
 from tacshade_edge.storage.calibration.reference_file import StoredReference

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.pictures import (
     BAR_PX,

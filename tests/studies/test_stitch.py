@@ -12,7 +12,7 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import from_seven, of_pose, shift

@@ -10,7 +10,7 @@ import numpy as np
 from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_networks, make_reconstructor

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.core.stitching.surface_map import SurfaceMap
+from tacshade_edge.core.stitching.stitcher import SurfaceMap
 from tacshade_edge.daemon.session import MapPublisher, MapRevision
 from tacshade_edge.simulator.pad import touchpad
 

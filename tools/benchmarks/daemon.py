@@ -42,7 +42,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.factories import links
 from tacshade_edge.inference.network import make_reconstructor

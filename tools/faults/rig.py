@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -272,51 +271,6 @@ def frames_of(path: Path) -> tuple[list[int], list[str]]:
             stamps_ns.append(recorded.frame.t_ns)
         except DecodeError as error:
             told.append(str(error))
-
-
-class Proxy:
-    """A TCP proxy in front of the broker, whose connections carry nothing while `flows` is cleared."""
-
-    def __init__(self, port: int) -> None:
-        self._to = port
-        self.flows = threading.Event()
-        self.flows.set()
-        self._pairs: list[socket.socket] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = int(self._listener.getsockname()[1])
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def __enter__(self) -> Proxy:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.flows.set()
-        self._listener.close()
-        for one in self._pairs:
-            one.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                try:
-                    broker = socket.create_connection(("127.0.0.1", self._to), 2)
-                except OSError:
-                    client.close()
-                    continue
-                broker.settimeout(None)
-                self._pairs += (client, broker)
-                for source, sink in ((client, broker), (broker, client)):
-                    threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
-
-    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                self.flows.wait()
-                sink.sendall(data)
-        for one in (source, sink):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
 
 
 @contextlib.contextmanager

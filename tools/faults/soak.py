@@ -26,7 +26,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.tables.frame_table import read_table

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import signal
 import struct
@@ -19,8 +18,7 @@ import cv2
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
-from tools.faults.rig import BASE, FAULTS, Cell, Fault, Proxy, Seen, SkippedError, fault, frames_of, pause, small_disk
-from tools.testbed.mqtt_rig import Subscriber
+from tools.faults.rig import BASE, FAULTS, Cell, Fault, Seen, SkippedError, fault, frames_of, pause, small_disk
 from tools.testbed.painted_sensor import BLACK, painted_calibration
 from tools.testbed.robot import Faults, PtyRobot
 
@@ -68,16 +66,14 @@ def stalled(cell: Cell) -> Seen:
     )
 
 
-@fault("network carries nothing")
+@fault("broker stalls until the connection is lost")
 def network_stalls(cell: Cell) -> Seen:
-    cell.serve()
-    proxy = cell.enter(Proxy(cell.broker.port))
-    cell.start(cell.settings(port=proxy.port))
+    cell.start()
     before = cell.frames()["failed"]
     since_s = cell.mark()
-    proxy.flows.clear()
+    cell.broker.stall()
     detected_s = cell.told("connection lost", since_s)
-    proxy.flows.set()
+    cell.broker.resume()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
     return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
@@ -104,17 +100,6 @@ def same_id(cell: Cell) -> Seen:
     recovered_s = cell.maps_again()
     cell.presses(count)
     return Seen("no press", "both logs", detected_s, recovered_s)
-
-
-@fault("a subscriber that does not read")
-def never_reading(cell: Cell) -> Seen:
-    cell.start()
-    before = cell.frames()["published"]
-    with Subscriber(cell.broker.port) as deaf:
-        deaf.client.loop_stop()
-        pause(STALL_S)
-        assert cell.frames()["published"] > before
-    return Seen("what that subscriber did not read", "mosquitto's `$SYS`; the daemon is not concerned")
 
 
 @fault(f"{FLOOD} requests at once")
@@ -220,17 +205,6 @@ def black(cell: Cell) -> Seen:
     return Seen("those frames, counted as invalid", told, detected_s, cell.maps_again())
 
 
-@fault("no calibration at the start")
-def no_calibration(cell: Cell) -> Seen:
-    path = cell.folder / "c.npz"
-    content = path.read_bytes()
-    path.unlink()
-    cell.serve()
-    detected_s = cell.told("not calibrated", cell.start(streams=False))
-    path.write_bytes(content)
-    return Seen("maps until then", "log, `state` degraded, `info`", detected_s, cell.maps_again())
-
-
 def _reloaded(cell: Cell, pattern: str) -> float:
     """Reload the settings and wait for a line of the log; return the seconds."""
     since_s = cell.mark()
@@ -251,17 +225,6 @@ def bad_calibration(cell: Cell) -> Seen:
     cell.until(lambda: cell.last("info"), 10, "info")
     assert cell.last("info")["geometry"]["calibration_crc32"] == crc32
     return Seen("nothing: the old one goes on", "log, `systemctl status`", detected_s, recovered_s)
-
-
-@fault("wrong settings at a reload")
-def bad_settings(cell: Cell) -> Seen:
-    cell.start()
-    path = cell.settings("colour: red\n")
-    detected_s = _reloaded(cell, rf"{path.name}:\d+: colour: found an unknown key")
-    cell.maps_again()
-    cell.settings()
-    recovered_s = _reloaded(cell, "reloaded")
-    return Seen("nothing: the old ones go on", "log, `systemctl status`", detected_s, recovered_s)
 
 
 # Disks, and files with state.
@@ -511,26 +474,6 @@ def stopped_early(cell: Cell) -> Seen:
     # Before the program's first line, the kernel ends the process, and systemd counts this as a clean exit.
     assert set(codes) <= {0, -signal.SIGTERM}, codes
     return Seen("nothing", f"exit codes {', '.join(map(str, codes))}")
-
-
-def _limited(cell: Cell, what: int, limit: int) -> Seen:
-    began_s = time.monotonic()
-    process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(what, (limit, limit)))
-    code = cell.ended(process)
-    assert code > 0, f"ended by signal {-code}: {cell.log()[-300:]!r}"
-    return Seen("it does not run", f"one line, exit code {code}", time.monotonic() - began_s)
-
-
-@fault("500 MB of address space")
-def little_memory(cell: Cell) -> Seen:
-    return _limited(cell, resource.RLIMIT_AS, 500 << 20)
-
-
-@fault("12 open files")
-def few_files(cell: Cell) -> Seen:
-    seen = _limited(cell, resource.RLIMIT_NOFILE, 12)
-    assert "expected at least 128" in cell.log(), cell.log()[-300:]
-    return seen
 
 
 HEAD = ("fault", "detected s", "recovered s", "lost", "told where")

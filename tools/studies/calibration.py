@@ -30,8 +30,8 @@ from tacshade_edge.core.calibration.presses.press_check import PressViewer, as_s
 from tacshade_edge.core.calibration.presses.press_selection import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.frame_check import camera
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES

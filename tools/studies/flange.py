@@ -23,8 +23,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.flange import FoundFlange, find_flange
-from tacshade_edge.core.stitching.flange_equations import ContactFrame
+from tacshade_edge.core.stitching.flange import ContactFrame, FoundFlange, find_flange
 from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.refinement import thin_points
 from tacshade_edge.rigid import Rigid, shift, turn

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.stitching.flange_equations import ContactFrame
+from tacshade_edge.core.stitching.flange import ContactFrame
 from tacshade_edge.core.stitching.refinement import thin_points
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.pad import about_apex

@@ -9,7 +9,7 @@ import numpy as np
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
 from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.protocol import gcode
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.types import F64
 
 DOWN_MM_S = 4.0

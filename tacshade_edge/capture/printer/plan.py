@@ -10,7 +10,7 @@ from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.machine import first_touch_mm
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.storage.tables.capture_folder import Stated
 from tacshade_edge.storage.tables.presses import BALL
 

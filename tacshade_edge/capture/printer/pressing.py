@@ -27,7 +27,7 @@ from tacshade_edge.core.calibration.observation import pictured_places
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.protocol import gcode
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.types import F64, Calibration
 
 # Rings of touches around the start and then the axis (radii in skin radii); at the axis the ball presses further.

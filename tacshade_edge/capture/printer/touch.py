@@ -14,7 +14,7 @@ from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.printer.head import Head, KeypressStop
 from tacshade_edge.capture.printer.line import SafetyStop, Stopped
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
-from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.calibration.reference.references import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.types import F32, U8, Frame
 

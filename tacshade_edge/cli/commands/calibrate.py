@@ -23,8 +23,7 @@ from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import load_networks
-from tacshade_edge.inference.touch_learning import LabelledFrame, TouchResult, learn_touch, report_lines
+from tacshade_edge.inference.network import LabelledFrame, TouchResult, learn_touch, load_networks, report_lines
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image

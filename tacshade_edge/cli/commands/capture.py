@@ -27,7 +27,7 @@ from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
-from tacshade_edge.devices.camera.v4l2_controls import Lock
+from tacshade_edge.devices.camera.v4l2_node import Lock
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
@@ -35,8 +35,7 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import sources
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
-from tacshade_edge.settings.printer_file import read_printer
-from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
+from tacshade_edge.settings.sensor_file import check_value, read_printer, read_sensor, with_visible_circle
 from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LABELS, LabelFolder

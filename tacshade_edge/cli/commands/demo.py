@@ -22,9 +22,8 @@ from tacshade_edge.cli.shared.dashboard_access import ANY, in_url, is_loopback, 
 from tacshade_edge.cli.shared.options import PORT, add_option, need
 from tacshade_edge.demo import hand as demo_hand
 from tacshade_edge.demo import touchpad
-from tacshade_edge.demo.broker import broker_command
-from tacshade_edge.demo.child import Child, free_port, wait_for_port
-from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.demo.child import Child, broker_command, free_port, wait_for_port
+from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170

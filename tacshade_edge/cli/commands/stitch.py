@@ -15,11 +15,9 @@ import numpy as np
 from tacshade_edge.cli.shared.options import add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.flange import FoundFlange, delay_seen, find_flange, unseen
-from tacshade_edge.core.stitching.flange_equations import ContactFrame
+from tacshade_edge.core.stitching.flange import ContactFrame, FoundFlange, delay_seen, find_flange, unseen
 from tacshade_edge.core.stitching.refinement import correction
-from tacshade_edge.core.stitching.stitcher import StitchedMap
-from tacshade_edge.core.stitching.surface_map import STEP_MM
+from tacshade_edge.core.stitching.stitcher import STEP_MM, StitchedMap
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.reasons import text_of

@@ -20,16 +20,16 @@ from tacshade_edge.core.calibration.quality import (
     missing_coverage,
 )
 from tacshade_edge.core.calibration.reference import pattern
+from tacshade_edge.core.calibration.reference.marker_field import choose_binarisation
 from tacshade_edge.core.calibration.reference.references import (
     ASSUMED_NOISE_GREY,
     check_references,
     rezero,
     with_reference,
 )
-from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
 from tacshade_edge.core.calibration.refit import refit_profile
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import Indenter, place
+from tacshade_edge.core.calibration.indenters import Ball, Indenter, place
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, shift, turn
@@ -105,10 +105,10 @@ def first_touch_mm(
     """Depth, as in PRESSES.csv, at which an indenter, or a ball of a radius, first touches the undeformed skin: at most
     0 for a ball.
     """
-    r, q = skin_radius_mm, x_mm**2 + y_mm**2
+    r = skin_radius_mm
     if isinstance(indenter, Indenter):
         return place(indenter, r, x_mm, y_mm, r / 2, yaw_deg).first_touch_mm(r)
-    return math.sqrt(max(r * r - q, 0.0)) - (math.sqrt((r + indenter) ** 2 - q) - indenter)
+    return Ball(x_mm, y_mm, 0.0, indenter).first_touch_mm(r)
 
 
 def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import Indenter, PlacedIndenter, place
+from tacshade_edge.core.calibration.indenters import Ball, Indenter, PlacedIndenter, place
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.geometry.disc import DiscRays, skin_points
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, Calibration, Geometry
@@ -186,8 +185,7 @@ def position_mae_mm(observations: Sequence[PressObservation]) -> float:
 def first_touch_mm(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
     """Depth (as in PRESSES.csv) at which each indenter first touches, mm: for a ball 0 on the axis, less off it."""
     r = geometry.skin_radius_mm
-    places = np.array([o.place_mm for o in observations])
-    radius = np.array([o.radius_mm for o in observations])
-    q = np.minimum((places**2).sum(axis=1), (0.999 * r) ** 2)
-    ball = np.sqrt(r * r - q) - (np.sqrt((r + radius) ** 2 - q) - radius)
-    return np.where([o.indenter == "" for o in observations], ball, [o.touch_mm for o in observations])
+    balls = (Ball(*o.place_mm, 0.0, o.radius_mm) for o in observations)
+    return np.array(
+        [o.touch_mm if o.indenter else b.first_touch_mm(r) for o, b in zip(observations, balls, strict=True)]
+    )

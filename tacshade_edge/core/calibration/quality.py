@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Fit, Geometry
 
 # docs/how-to/calibration.md advises at least this many.

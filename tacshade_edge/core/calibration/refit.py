@@ -25,22 +25,20 @@ import numpy as np
 from tacshade_edge.core.calibration.indenters import Placed, ball_along, known_height, stated_ball
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation import placed_indenter
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel, sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check.skin import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import disc_rays
-from tacshade_edge.core.geometry.disc_map import rays_in_image
+from tacshade_edge.core.geometry.disc import disc_rays, skin_points
+from tacshade_edge.core.geometry.disc_map import rays_in_image, skin_scale
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, F64, Bool, Calibration, Geometry, ProfileFit
 
 SHAPE_DEVIATION = 0.08
 """Standard deviation of log factor from that of other shapes, also dragged: 0.03 to 0.07 on 16 simulated sensors of two
-families (tools/studies/factor.py), where 0.06 to 0.1 gain the same.
+families, where 0.06 to 0.1 gain the same.
 """
 # Least standard deviation of log factor over the presses of a sensor.
 _LEAST_DEVIATION = 0.05

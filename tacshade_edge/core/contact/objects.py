@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.depth.base import Depth
-from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes
-from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, skin_planes
 from tacshade_edge.types import F32, F64, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, frozen
 
 TWIST_CELLS = 6

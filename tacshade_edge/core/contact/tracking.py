@@ -30,7 +30,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tacshade_edge.types import Reconstruction, Slip
+from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
 ALARM = 0.25
 """Margin below which a contact is about to slip."""
@@ -118,45 +118,11 @@ class Grip:
         return max(0.0, 1 - self._ratio / self.limit)
 
 
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """One object in one frame, as input to tracking: mean place of its points, mean shear and strain (`RigidMotion`) of
-    its skin, greatest h.
-    """
-
-    x_mm: float
-    y_mm: float
-    shear_mm: tuple[float, float]
-    strain_mm: float
-    depth_max_mm: float
-
-
-@dataclass(frozen=True, slots=True)
-class Tracked:
-    """The result of tracking for an object: a number from 1, the same while it touches and never used again; its slip;
-    the speed of its imprint over the skin's material (None until known); its margin from 1 (firm) to 0 (sliding).
-    """
-
-    id: int
-    slip: Slip
-    slip_mm_s: float | None
-    margin: float
-
-
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     """Add the results of tracking to a reconstruction's objects; without shear it stays the same."""
-    contacts = [
-        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0, o.depth_max_mm)
-        for o in result.objects
-        if o.shear_mm is not None
-    ]
-    if len(contacts) < len(result.objects):
+    if any(touched.shear_mm is None for touched in result.objects):
         return result
-    followed = zip(result.objects, tracker.step(result.t_ns, contacts), strict=True)
-    return replace(
-        result,
-        objects=tuple(replace(o, id=t.id, slip=t.slip, slip_mm_s=t.slip_mm_s, margin=t.margin) for o, t in followed),
-    )
+    return replace(result, objects=tracker.step(result.t_ns, result.objects))
 
 
 _Seen = deque[tuple[int, float, float, float, float, float]]
@@ -180,12 +146,14 @@ class ContactTracker:
         self._tracks: list[_Track] = []
         self._count = 0
 
-    def step(self, t_ns: int, contacts: Sequence[Contact]) -> tuple[Tracked, ...]:
-        """Track a frame's objects, given in any order; objects that are not among them are released."""
+    def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
+        """Give a frame's objects, which come in any order with their shear, a number that is never used again, slip,
+        its speed (None until known) and margin; objects that are not among them are released.
+        """
         left = list(self._tracks)
         followed = []
-        for contact in contacts:
-            track = _nearest(left, contact)
+        for touched in objects:
+            track = _nearest(left, touched)
             if track is None:
                 self._count += 1
                 track = _Track(self._count)
@@ -193,36 +161,38 @@ class ContactTracker:
                 left.remove(track)
             followed.append(track)
         self._tracks = followed
-        return tuple(_followed(track, t_ns, contact) for track, contact in zip(followed, contacts, strict=True))
+        return tuple(_followed(track, t_ns, touched) for track, touched in zip(followed, objects, strict=True))
 
 
-def _nearest(tracks: Sequence[_Track], contact: Contact) -> _Track | None:
+def _nearest(tracks: Sequence[_Track], touched: TouchedObject) -> _Track | None:
     """The track that an object continues; None if none is in reach."""
-    distances = [math.dist(track.at_mm, (contact.x_mm, contact.y_mm)) for track in tracks]
+    distances = [math.dist(track.at_mm, touched.centroid_mm[:2]) for track in tracks]
     least = min(distances, default=math.inf)
     return tracks[distances.index(least)] if least <= REACH_MM else None
 
 
-def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
+def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject:
     """Add a frame to a track."""
-    track.at_mm = (contact.x_mm, contact.y_mm)
-    held = contact.x_mm - contact.shear_mm[0], contact.y_mm - contact.shear_mm[1]
+    shear_mm, depth_mm = touched.shear_mm, touched.depth_max_mm
+    assert shear_mm is not None
+    track.at_mm = touched.centroid_mm[:2]
+    held = track.at_mm[0] - shear_mm[0], track.at_mm[1] - shear_mm[1]
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream
-    track.seen.append((t_ns, *held, *track.at_mm, contact.depth_max_mm))
+    track.seen.append((t_ns, *held, *track.at_mm, depth_mm))
     while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPANS_NS[-1]:
         track.seen.popleft()
     track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
-    slides, speed = _slide(track.seen, track.noise_mm2, contact.shear_mm)
-    size = math.hypot(*contact.shear_mm)
+    slides, speed = _slide(track.seen, track.noise_mm2, shear_mm)
+    size = math.hypot(*shear_mm)
     if slides:
         track.slip = Slip.FULL
-    elif contact.strain_mm > max(PARTIAL_MM, PARTIAL_STRAIN * size):
+    elif (touched.strain_mm or 0.0) > max(PARTIAL_MM, PARTIAL_STRAIN * size):
         track.slip = Slip.PARTIAL
     else:
         track.slip = Slip.STICK
-    margin = track.grip.step(t_ns, contact.shear_mm, contact.depth_max_mm, track.slip)
-    return Tracked(track.number, track.slip, speed, margin)
+    margin = track.grip.step(t_ns, shear_mm, depth_mm, track.slip)
+    return replace(touched, id=track.number, slip=track.slip, slip_mm_s=speed, margin=margin)
 
 
 def _noise_mm2(seen: _Seen, known_mm2: float) -> float:

@@ -23,16 +23,9 @@ EPS = 2.2e-16
 C128 = npt.NDArray[np.complex128]
 
 
-def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
-    """Backward difference with a zero first row or column; into `out` if given."""
-    d = np.zeros_like(z) if out is None else out
-    if axis == 0:
-        d[0] = 0
-        np.subtract(z[1:], z[:-1], out=d[1:])
-    else:
-        d[:, 0] = 0
-        np.subtract(z[:, 1:], z[:, :-1], out=d[:, 1:])
-    return d
+def _backward(z: C128, axis: int) -> C128:
+    """Backward difference with a zero first row or column."""
+    return np.pad(np.diff(z, axis=axis), ((1, 0), (0, 0)) if axis == 0 else ((0, 0), (1, 0)))
 
 
 def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
@@ -76,8 +69,7 @@ def _iterate(image: C128) -> C128:
             slope += EPS
             f /= slope
             z -= f
-        _backward(z, axis=1, out=p)
-        _backward(z, axis=0, out=q)
+        p, q = _backward(z, axis=1), _backward(z, axis=0)
     return z
 
 

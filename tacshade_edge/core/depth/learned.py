@@ -13,12 +13,12 @@ all its few channels for depth.
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import Depth, Features, Mark, Network, ShearNetwork
+from tacshade_edge.core.depth.base import Depth, Features, Mark, Network, NetworkMaps, ShearNetwork
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
@@ -61,25 +61,34 @@ def unfold(maps: F32, by: int) -> F32:
     return np.ascontiguousarray(unfolded).reshape(c // by**2, by * part, by * part)
 
 
-class LearnedShear:
-    """The network of shear, prepared for one sensor; `reference_white` is as for `LearnedInverse`."""
+class _Prepared:
+    """A network prepared for one sensor; `reference_white` is the share of white of the unloaded skin on
+    `disc_map.map_grid`.
+    """
 
-    def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
+    def __init__(
+        self, network: Network | ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32
+    ) -> None:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
-    def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
-        """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N); features go
-        to `features`.
-        """
+    def _run(self, white: F32, features: Features | None) -> Any:
+        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
         folded = fold(white[None], self._network.fold)
         if features is None or self._network.run_touch is None:
-            found = self._network.run(folded, self._sensor)
-        else:
-            found, some = self._network.run_touch(folded, self._sensor)
-            features.append(some)
-        coarse = np.ascontiguousarray(np.moveaxis(found, 0, 2))
+            return self._network.run(folded, self._sensor)
+        found, some = self._network.run_touch(folded, self._sensor)
+        features.append(some)
+        return found
+
+
+class LearnedShear(_Prepared):
+    """The network of shear, prepared for one sensor."""
+
+    def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
+        """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N)."""
+        coarse = np.ascontiguousarray(np.moveaxis(self._run(white, features), 0, 2))
         if not np.isfinite(coarse).all():
             coarse = np.nan_to_num(coarse, posinf=0.0, neginf=0.0)
         coarse *= self._mm
@@ -98,26 +107,13 @@ class Inverse:
     untrusted_logit: F32
 
 
-class LearnedInverse:
-    """A network prepared for one sensor; `reference_white` is the share of white of the unloaded skin on
-    `disc_map.map_grid`.
-    """
-
-    def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
-        self._network = network
-        self._mm = scale_mm(geometry)
-        self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
+class LearnedInverse(_Prepared):
+    """The network of depth, prepared for one sensor."""
 
     def __call__(self, white: F32, features: Features | None = None) -> Inverse:
-        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
-        n = self._network.fold
-        folded = fold(white[None], n)
-        if features is None or self._network.run_touch is None:
-            maps = self._network.run(folded, self._sensor)
-        else:
-            maps, some = self._network.run_touch(folded, self._sensor)
-            features.append(some)
-        height, logit = unfold(maps.depth_and_contact, n)
+        """The result for a frame's white, float32 (cells, cells), 0 to 1."""
+        maps: NetworkMaps = self._run(white, features)
+        height, logit = unfold(maps.depth_and_contact, self._network.fold)
         return Inverse(height * self._mm, logit, maps.untrusted)
 
 

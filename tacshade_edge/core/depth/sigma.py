@@ -2,7 +2,7 @@
 
 A log-linear model of the network's own outputs, fitted on simulated sensors of two families
 (tools/training/fit_sigma.py), times the sensor's error scale, which its presses show
-(`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm,
+(`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm (`skin_scale`),
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
 
@@ -26,7 +26,6 @@ TERMS = ("constant", "height", "slope", "contact", "untrusted")
 """Names of the x_i."""
 INTERVAL_90 = 1.645
 """Half width of the 90 % interval, in σ."""
-_NOMINAL_RADIUS_MM = 20.0
 _LEAST_HEIGHT_MM = 0.1
 _STEEPEST = 2.0
 _CONTACT_RANGE, _UNTRUSTED_RANGE = (-2.0, 8.0), (-12.0, 0.0)
@@ -69,7 +68,7 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
     each = cells // len(untrusted_logit)
     x = np.empty((len(row), len(TERMS)), np.float32)
     x[:, 0] = 1
-    x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(_size(geometry)))
+    x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(disc_map.skin_scale(geometry)))
     x[:, 2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
     x[:, 3] = _within(contact_logit[box][chosen], _CONTACT_RANGE)
     x[:, 4] = _within(untrusted_logit[(row + first_row) // each, (col + first_col) // each], _UNTRUSTED_RANGE)
@@ -79,13 +78,10 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
 def sigma_of_scale_1(model: SigmaModel, x: F32, geometry: Geometry) -> F32:
     """σ in mm at cells with these `terms`, for a sensor of scale 1: float32 (N,)."""
     # No matmul: BLAS sets floating-point flags in lanes of padding, and NumPy warns of them.
-    sigma: F32 = np.exp((x * np.array(model.weights, np.float32)).sum(axis=1)) * np.float32(_size(geometry))
+    sigma: F32 = np.exp((x * np.array(model.weights, np.float32)).sum(axis=1)) * np.float32(
+        disc_map.skin_scale(geometry)
+    )
     return sigma
-
-
-def _size(geometry: Geometry) -> float:
-    """The k of the module's equation."""
-    return geometry.skin_radius_mm / _NOMINAL_RADIUS_MM
 
 
 def _within(logit: F32, low_high: tuple[float, float]) -> F32:

@@ -53,3 +53,10 @@ def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
     rays = disc_rays(grid, calibration.geometry)
     in_image = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
     return DiscRays(inside=rays.inside & in_image, u=rays.u, v=rays.v)
+
+
+def skin_scale(geometry: Geometry) -> float:
+    """The factor for a length stated for a skin of radius 20 mm (squared: for an area), as a sensor scaled as a whole
+    shows its camera the same images.
+    """
+    return geometry.skin_radius_mm / 20

@@ -23,8 +23,8 @@ import time
 
 import numpy as np
 
-from tacshade_edge.devices.camera.frame_gaps import FrameGaps
-from tacshade_edge.devices.camera.v4l2_controls import Control, Lock
+from tacshade_edge.devices.base import Camera, FrameGaps
+from tacshade_edge.devices.camera.v4l2_node import Control, Lock
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Frame
@@ -42,10 +42,8 @@ _PIPE_BYTES = 1 << 20  # the most that a user may request; a frame of 640x480 ha
 _SAID_BYTES = 4096
 
 
-class RpicamSource:
-    """A `FrameSource` (devices.base) on ``rpicam-vid``; frames are grey, the luma of YUV 4:2:0 in full range.
-
-    All methods belong to one thread, except `dropped` and `describe`.
+class RpicamSource(Camera):
+    """A camera on ``rpicam-vid``; frames are grey, the luma of YUV 4:2:0 in full range.
 
     `camera`: number of the camera in ``rpicam-vid --list-cameras``. `width_px`, `height_px`: the width is a multiple of
     64. `exposure_us`: locked exposure time. `gain`: locked gain of the sensor. `lens_position`: locked focus in
@@ -64,7 +62,7 @@ class RpicamSource:
         lens_position: float | None = None,
         sensor_mode: str | None = None,
     ) -> None:
-        self._name = f"camera {camera} of {PROGRAM}"
+        super().__init__(name := f"camera {camera} of {PROGRAM}", name)
         self._shape = (height_px, width_px)
         self._exposure_us, self._gain = exposure_us, gain
         self._command = (
@@ -76,20 +74,9 @@ class RpicamSource:
             *("--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0", "--nopreview", "--verbose", "0"),
             *("--flush", "--output", "-", "--metadata-format", "txt", "--metadata"),
         )
-        self._stated: dict[str, str | int | float] = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
+        self._settings = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
         self._stream: _Stream | None = None
-        self._pending: Frame | None = None
-        self._proven = False
-        self._sensor_stamps = False
         self._unseen: U8 = np.empty(height_px * width_px * 3 // 2, np.uint8)
-        self._gaps = FrameGaps()
-        self._seq = -1
-        self._dropped = 0
-
-    @property
-    def dropped(self) -> int:
-        """Number of frames inferred lost from gaps in the sensor's time stamps, since the first open."""
-        return self._dropped
 
     def open(self) -> None:
         """Start the program and read until a frame has the requested exposure; the next `read` returns it. Raises
@@ -107,23 +94,17 @@ class RpicamSource:
                 raise ConfigError(str(error), code=error.code) from None
             raise
         self._proven = True
-        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._stated.items()))
+        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items()))
 
-    def read(self) -> Frame | None:
-        """Wait for the next frame, at most two seconds. Raises DeviceError when the program has ended or stalls."""
+    def _next(self) -> Frame:
         if self._stream is None:
-            raise DeviceError(f"{self._name}: not open")
-        frame, self._pending = self._pending, None
-        return frame or self._framed(*self._stream.next(_STALL_S))
+            raise self._not_open()
+        return self._framed(*self._stream.next(_STALL_S))
 
-    def skip(self) -> bool:
-        """Read the next frame from the pipe and discard it. Waits and raises as `read` does."""
+    def _pass_over(self) -> None:
         if self._stream is None:
-            raise DeviceError(f"{self._name}: not open")
-        if self._pending is None:
-            self._date(self._stream.next(_STALL_S, self._unseen)[1], time.monotonic_ns())
-        self._pending = None
-        return True
+            raise self._not_open()
+        self._date(_stamp_ns(self._stream.next(_STALL_S, self._unseen)[1]), time.monotonic_ns())
 
     def close(self) -> None:
         """End the program; safe to call twice."""
@@ -131,12 +112,6 @@ class RpicamSource:
         if self._stream is not None:
             self._stream.close()
             self._stream = None
-
-    def describe(self) -> dict[str, str | int | float]:
-        """Return the requested and the recorded settings; ``fps_measured`` is 0 until two frames have arrived."""
-        period_ns = self._gaps.period_ns
-        measured = round(1e9 / period_ns, 2) if period_ns else 0.0
-        return {"device": self._name, **self._stated, "fps_measured": measured}
 
     def _first(self, stream: _Stream) -> Frame:
         """Return the first frame that has the requested exposure and no excess bytes."""
@@ -158,16 +133,16 @@ class RpicamSource:
             )
         period_us = _number(record, "FrameDuration")
         age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
-        self._sensor_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
+        self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
         exposure, white_balance = Control(Lock.LOCKED, exposure_us), Control(Lock.LOCKED)
-        self._stated |= {
+        self._settings |= {
             "format": "YUV420",
             "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
             **{"exposure": f"{exposure} us", "exposure_lock": exposure.lock, "exposure_value": exposure_us},
             **{"gain": round(gain, 3), "white_balance": str(white_balance), "white_balance_lock": white_balance.lock},
             **self._focus(record),
-            "time_stamps": "sensor" if self._sensor_stamps else "on arrival",
-            "drops": "inferred from time stamps" if self._sensor_stamps else "not known",
+            "time_stamps": "sensor" if self._has_stamps else "on arrival",
+            "drops": "inferred from time stamps" if self._has_stamps else "not known",
         }
         return self._framed(image, record)
 
@@ -183,21 +158,8 @@ class RpicamSource:
 
     def _framed(self, image: U8, record: dict[str, str]) -> Frame:
         now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-        t_ns = self._date(record, now_ns)
+        t_ns = self._date(_stamp_ns(record), now_ns)
         return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
-
-    def _date(self, record: dict[str, str], now_ns: int) -> int:
-        """Return the time stamp of a frame (ns); number it and count the frames lost before it."""
-        t_ns, lost = now_ns, 0
-        stamp_ns = _number(record, "SensorTimestamp")
-        if self._sensor_stamps and not np.isnan(stamp_ns):
-            lost = self._gaps.add(int(stamp_ns))
-            t_ns = min(int(stamp_ns), now_ns)
-        else:
-            self._gaps.add(now_ns)
-        self._seq += 1 + lost
-        self._dropped += lost
-        return t_ns
 
 
 class _Stream:
@@ -329,3 +291,8 @@ def _number(record: dict[str, str], key: str) -> float:
         return float(record.get(key, "nan"))
     except ValueError:
         return float("nan")
+
+
+def _stamp_ns(record: dict[str, str]) -> int | None:
+    stamp_ns = _number(record, "SensorTimestamp")
+    return None if np.isnan(stamp_ns) else int(stamp_ns)

@@ -23,8 +23,8 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.image.image_bytes import decode_image
-from tacshade_edge.devices.camera import v4l2_controls, v4l2_node
-from tacshade_edge.devices.camera.frame_gaps import FrameGaps
+from tacshade_edge.devices.base import Camera, FrameGaps
+from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Frame
@@ -38,12 +38,11 @@ _STAMP_AGE_MAX_NS = 1_000_000_000
 _UNDECODABLE_MAX = 30  # in a row: about a second at 30 fps
 
 
-class V4l2Source:
-    """A `FrameSource` (devices.base) on a V4L2 camera; frames are grey, the luma that the camera sent.
+class V4l2Source(Camera):
+    """A V4L2 camera; frames are grey, the luma that the camera sent.
 
     The luma of YUYV, NV12 and GREY is passed on unchanged, never rescaled from the video range; MJPG is decoded to
-    grey. Exposure and white balance are locked if the driver has the controls. All methods belong to one thread, except
-    `dropped` and `describe`.
+    grey. Exposure and white balance are locked if the driver has the controls.
 
     `device`: path of the node, preferably under /dev/v4l/by-id: numbers change when cables are moved. `fps`: requested
     rate; the driver may choose another. `describe` reports the stated and the measured rate. `fourcc`: MJPG, YUYV, NV12
@@ -60,24 +59,12 @@ class V4l2Source:
             raise ConfigError(
                 f"camera {device}: found {width_px}x{height_px} at {fps:g} fps, expected positive numbers"
             )
-        self._device = device
+        super().__init__(f"camera {device}", device)
         self._shape = (height_px, width_px)
         self._fps = fps
         self._fourcc = fourcc
         self._exposure = exposure
         self._capture: cv2.VideoCapture | None = None
-        self._pending: Frame | None = None
-        self._proven = False  # this configuration gave frames before
-        self._kernel_stamps = False
-        self._gaps = FrameGaps()
-        self._seq = -1
-        self._dropped = 0
-        self._negotiated: dict[str, str | int | float] = {}
-
-    @property
-    def dropped(self) -> int:
-        """Number of frames inferred lost from gaps in the kernel time stamps, or undecodable, since the first open."""
-        return self._dropped
 
     def open(self) -> None:
         """Check the node, negotiate, lock the controls, and read one frame for the next `read` to return.
@@ -101,9 +88,9 @@ class V4l2Source:
         try:
             if not capture.isOpened():
                 if v4l2_node.is_busy(self._device):
-                    raise DeviceError(f"camera {self._device}: in use by another program", code=ReasonCode.IN_USE)
-                raise DeviceError(f"camera {self._device}: cannot set up the camera for capture")
-            self._negotiated = {"card": card, **self._negotiate(capture)}
+                    raise DeviceError(f"{self._name}: in use by another program", code=ReasonCode.IN_USE)
+                raise DeviceError(f"{self._name}: cannot set up the camera for capture")
+            self._settings = {"card": card, **self._negotiate(capture)}
             self._gaps = FrameGaps()
             self._check_stamps(capture)
             self._pending = self._decoded(capture, grabbed=True)
@@ -112,24 +99,19 @@ class V4l2Source:
             raise
         self._capture = capture
         self._proven = True
-        _log.info("camera %s: %s", self._device, ", ".join(f"{name} {got}" for name, got in self._negotiated.items()))
+        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items()))
 
-    def read(self) -> Frame | None:
-        """Wait for the next frame, at most about two seconds. Raises DeviceError when the device is lost."""
+    def _next(self) -> Frame:
         if self._capture is None:
-            raise DeviceError(f"camera {self._device}: not open")
-        frame, self._pending = self._pending, None
-        return frame or self._decoded(self._capture)
+            raise self._not_open()
+        return self._decoded(self._capture)
 
-    def skip(self) -> bool:
-        """Return the next frame's buffer to the driver undecoded. Waits and raises as `read` does."""
+    def _pass_over(self) -> None:
+        """Return the next frame's buffer to the driver undecoded."""
         if self._capture is None:
-            raise DeviceError(f"camera {self._device}: not open")
-        if self._pending is None:
-            self._grab(self._capture)
-            self._date(self._capture, time.monotonic_ns())
-        self._pending = None
-        return True
+            raise self._not_open()
+        self._grab(self._capture)
+        self._date(_kernel_stamp_ns(self._capture), time.monotonic_ns())
 
     def close(self) -> None:
         """Release the device; safe to call twice."""
@@ -137,12 +119,6 @@ class V4l2Source:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-    def describe(self) -> dict[str, str | int | float]:
-        """Return the negotiated settings; ``fps_measured`` is 0 until two frames have arrived."""
-        period_ns = self._gaps.period_ns
-        measured = round(1e9 / period_ns, 2) if period_ns else 0.0
-        return {"device": self._device, **self._negotiated, "fps_measured": measured}
 
     def _negotiate(self, capture: cv2.VideoCapture) -> dict[str, str | int | float]:
         """Set everything in the order that drivers need, and read everything back."""
@@ -163,7 +139,7 @@ class V4l2Source:
                 f"requested {width_px}x{height_px} {self._fourcc}, but got {width_got}x{height_got} {fourcc}"
                 f" (it offers {usable})"
             )
-        exposure, white_balance = self._lock_exposure(capture), v4l2_controls.lock_white_balance(capture)
+        exposure, white_balance = self._lock_exposure(capture), v4l2_node.lock_white_balance(capture)
         return {
             "format": fourcc,
             "width_px": width_got,
@@ -175,11 +151,11 @@ class V4l2Source:
             **({} if exposure.value is None else {"exposure_value": exposure.value}),
             "white_balance": str(white_balance),
             "white_balance_lock": white_balance.lock,
-            **{f"{name}_lock": control.lock for name, control in v4l2_controls.lock_others(self._device).items()},
+            **{f"{name}_lock": control.lock for name, control in v4l2_node.lock_others(self._device).items()},
         }
 
-    def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_controls.Control:
-        control = v4l2_controls.lock_exposure(capture, self._exposure)
+    def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_node.Control:
+        control = v4l2_node.lock_exposure(capture, self._exposure)
         if self._exposure is not None and control.value != self._exposure:
             got = "but the driver has no such control" if control.value is None else f"but got {control.value:g}"
             raise self._refused(f"requested exposure {self._exposure}, {got}")
@@ -187,18 +163,18 @@ class V4l2Source:
 
     def _refused(self, what: str) -> TacshadeError:
         error = DeviceError if self._proven else ConfigError
-        return error(f"camera {self._device}: {what}", code=ReasonCode.NOT_OFFERED)
+        return error(f"{self._name}: {what}", code=ReasonCode.NOT_OFFERED)
 
     def _check_stamps(self, capture: cv2.VideoCapture) -> None:
         """Grab the first frame and decide whether the driver's time stamps are CLOCK_MONOTONIC."""
         self._grab(capture)
         age_ns = time.monotonic_ns() - _kernel_stamp_ns(capture)
-        self._kernel_stamps = -self._period_stated_ns() <= age_ns < _STAMP_AGE_MAX_NS
-        self._negotiated["time_stamps"] = "kernel" if self._kernel_stamps else "on arrival"
-        self._negotiated["drops"] = "inferred from time stamps" if self._kernel_stamps else "not known"
+        self._has_stamps = -self._period_stated_ns() <= age_ns < _STAMP_AGE_MAX_NS
+        self._settings["time_stamps"] = "kernel" if self._has_stamps else "on arrival"
+        self._settings["drops"] = "inferred from time stamps" if self._has_stamps else "not known"
 
     def _period_stated_ns(self) -> float:
-        return 1e9 / max(float(self._negotiated["fps_stated"]), 1.0)
+        return 1e9 / max(float(self._settings["fps_stated"]), 1.0)
 
     def _grab(self, capture: cv2.VideoCapture) -> None:
         began_ns = time.monotonic_ns()
@@ -208,7 +184,7 @@ class V4l2Source:
             gone = waited_s < 0.5 * _STALL_S
             why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
             raise DeviceError(
-                f"camera {self._device}: no frame within {waited_s:.1f} s: {why}",
+                f"{self._name}: no frame within {waited_s:.1f} s: {why}",
                 code=ReasonCode.LOST if gone else ReasonCode.STALLED,
             )
 
@@ -220,7 +196,7 @@ class V4l2Source:
                 self._grab(capture)
             grabbed = False
             now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-            t_ns = self._date(capture, now_ns)
+            t_ns = self._date(_kernel_stamp_ns(capture), now_ns)
             ok, raw = capture.retrieve()
             image = decode(np.asarray(raw, np.uint8).reshape(-1), self._fourcc, *self._shape) if ok else None
             if image is not None:
@@ -228,23 +204,10 @@ class V4l2Source:
             size = raw.size if ok else 0
             self._dropped += 1
         raise DeviceError(
-            f"camera {self._device}: found {_UNDECODABLE_MAX} frames in a row that were not"
+            f"{self._name}: found {_UNDECODABLE_MAX} frames in a row that were not"
             f" {self._shape[1]}x{self._shape[0]} {self._fourcc} (the last had {size} bytes)",
             code=ReasonCode.DECODE,
         )
-
-    def _date(self, capture: cv2.VideoCapture, now_ns: int) -> int:
-        """Return the time stamp of the grabbed frame (ns); number it and count the frames lost before it."""
-        t_ns, lost = now_ns, 0
-        if self._kernel_stamps:
-            stamp_ns = _kernel_stamp_ns(capture)
-            lost = self._gaps.add(stamp_ns)
-            t_ns = min(stamp_ns, now_ns)
-        else:
-            self._gaps.add(now_ns)  # for the measured rate only; arrival is too uneven to reveal losses
-        self._seq += 1 + lost
-        self._dropped += lost
-        return t_ns
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacshade_edge.core.stitching.flange import ORDER, FoundFlange
-from tacshade_edge.core.stitching.stitcher import PlacedPress
-from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
+from tacshade_edge.core.stitching.stitcher import BAND_ROWS, PlacedPress, Raster
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage import meshes
 from tacshade_edge.storage.atomic_files import disk_errors, write_set, write_whole

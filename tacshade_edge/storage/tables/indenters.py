@@ -10,8 +10,7 @@ import yaml
 from msgspec import Meta
 
 from tacshade_edge.core.calibration import indenters as shapes
-from tacshade_edge.core.calibration.indenters import Indenter
-from tacshade_edge.core.calibration.printable import planned_presses, printables
+from tacshade_edge.core.calibration.indenters import Indenter, planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings import strict_yaml

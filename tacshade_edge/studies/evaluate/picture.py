@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.geometry.disc import disc_rays, skin_points
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES

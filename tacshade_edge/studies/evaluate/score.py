@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import text_of

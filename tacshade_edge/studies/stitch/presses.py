@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.core.stitching.flange_equations import ContactFrame
-from tacshade_edge.core.stitching.poses import GAP_MAX_NS
-from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints, RestDetector, press_points
+from tacshade_edge.core.stitching.flange import ContactFrame
+from tacshade_edge.core.stitching.press_points import GAP_MAX_NS, NO_POINTS, PressPoints, RestDetector, press_points
 from tacshade_edge.core.stitching.refinement import thin_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.errors import ConfigError, DecodeError

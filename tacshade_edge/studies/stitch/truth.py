@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
+from tacshade_edge.core.stitching.stitcher import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.npz import numbers, read_arrays
 from tacshade_edge.types import F32, F64, U8, frozen

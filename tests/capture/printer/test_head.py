@@ -21,7 +21,7 @@ from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ from tacshade_edge.capture.printer.plan import planned_presses
 from tacshade_edge.core.calibration.indenters import box
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.storage.tables.capture_folder import Stated
 
 SENSOR = Sensor(20, 14, 50, "bright")

@@ -26,7 +26,7 @@ from tacshade_edge.core.calibration.inputs import Sensor as Stated
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.devices.camera.simulated import SimulatedSource
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.types import Frame

@@ -194,7 +194,7 @@ def test_presses_too_far_apart_and_a_folder_that_cannot_be_written(
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1
     assert "cannot write it" in capsys.readouterr().err
-    monkeypatch.setattr("tacshade_edge.core.stitching.surface_map.TILES_MAX", 2)
+    monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.TILES_MAX", 2)
     assert main(words(folder, tmp_path / "out")) == 78
     (line,) = without_progress(capsys.readouterr().err)
     assert "the map would exceed 2 tiles of 16 mm" in line

@@ -12,7 +12,10 @@ from support.examples import examples
 
 from tacshade_edge.core.calibration import indenters as shapes
 from tacshade_edge.core.calibration.indenters import (
+    LENGTH_MM,
+    STEM_RADIUS_MM,
     Indenter,
+    Printable,
     bar,
     box,
     cone,
@@ -20,12 +23,12 @@ from tacshade_edge.core.calibration.indenters import (
     known_height,
     mesh,
     place,
+    planned_presses,
+    printables,
     stated_ball,
 )
-from tacshade_edge.core.calibration.printable import LENGTH_MM, STEM_RADIUS_MM, Printable, planned_presses, printables
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.simulator.press import Press, Shape
 from tacshade_edge.types import F64, Disc, Geometry
 

@@ -18,7 +18,7 @@ from tacshade_edge.core.calibration.observation import (
     screened_change,
     screened_poisson,
 )
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.types import F32, Disc, Geometry
 

@@ -15,9 +15,8 @@ from support.calibrated_sensor import FULL, HALF, TACTIP, random_sensor, referen
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.reference.marker_field import find_markers
+from tacshade_edge.core.calibration.reference.marker_field import choose_binarisation, find_markers
 from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px, mean_image
-from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
 from tacshade_edge.core.calibration.reference.view import Pattern, find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES

@@ -23,8 +23,7 @@ from tacshade_edge.core.calibration.refit import (
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.geometry.disc import disc_rays, skin_points
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.press import Press, ball

@@ -17,7 +17,7 @@ from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, outliers
 from tacshade_edge.core.calibration.presses.table_check import table_hints
 from tacshade_edge.core.calibration.quality import missing_coverage
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.types import Disc, Geometry
 

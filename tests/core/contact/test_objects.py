@@ -24,8 +24,7 @@ from tacshade_edge.core.contact.objects import (
     rigid_motions,
     two_means_split,
 )
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays
+from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays, skin_points
 from tacshade_edge.types import F32, Bool, Disc, Geometry, ObjectCloud, TouchedObject
 
 

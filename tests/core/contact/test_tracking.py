@@ -13,12 +13,10 @@ from tacshade_edge.core.contact.tracking import (
     LEAST_LIMIT,
     LIMIT,
     SLIDE_NS,
-    Contact,
     ContactTracker,
     Grip,
-    Tracked,
 )
-from tacshade_edge.types import Slip
+from tacshade_edge.types import Slip, TouchedObject
 
 FRAME_NS = 16_666_667
 SHEAR_MM = st.floats(-30, 30)
@@ -117,11 +115,12 @@ def test_what_was_borne_shows_that_the_limit_is_higher(slid: bool, limit: float)
 
 def contact(
     x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0, depth_mm: float = 2.0
-) -> Contact:
-    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm, depth_mm)
+) -> TouchedObject:
+    motion = {"shear_mm": (dragged_mm, 0.0), "strain_mm": strain_mm}
+    return TouchedObject(1, (x_mm, y_mm, 0.0), (0.0, 0.0, 0.0), depth_mm, 1.0, **motion)  # type: ignore[arg-type]
 
 
-def followed(tracker: ContactTracker, *objects: Contact, frame: int = 0) -> tuple[Tracked, ...]:
+def followed(tracker: ContactTracker, *objects: TouchedObject, frame: int = 0) -> tuple[TouchedObject, ...]:
     return tracker.step(frame * FRAME_NS, objects)
 
 

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.hand.link import OBSERVED_SD_MM, Patch
-from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
+from tacshade_edge.core.hand import OBSERVED_SD_MM, ObjectMotion, ObjectTracker, Patch
 from tacshade_edge.rigid import Rigid, turn, turned_rad
 from tacshade_edge.types import F64
 

@@ -9,9 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.stitching.flange import ORDER, FoundFlange, delay_seen, find_flange, unseen
-from tacshade_edge.core.stitching.flange_equations import ContactFrame
-from tacshade_edge.core.stitching.poses import EXTRAPOLATION_MAX_NS, GAP_MAX_NS, HISTORY_NS, PoseBuffer, interpolate
+from tacshade_edge.core.stitching.flange import (
+    ORDER,
+    ContactFrame,
+    FoundFlange,
+    delay_seen,
+    find_flange,
+    unseen,
+)
+from tacshade_edge.core.stitching.press_points import (
+    EXTRAPOLATION_MAX_NS,
+    GAP_MAX_NS,
+    HISTORY_NS,
+    PoseBuffer,
+    interpolate,
+)
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, of_pose, shift, turn
 from tacshade_edge.types import F64, Pose

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.calibrated_sensor import HALF, calibrated, pressed, step
 
-from tacshade_edge.core.stitching import surface_map
+from tacshade_edge.core.stitching import stitcher
 from tacshade_edge.core.stitching.press_points import (
     MIN_CONFIDENCE,
     NO_POINTS,
@@ -15,11 +15,11 @@ from tacshade_edge.core.stitching.press_points import (
     height_weight,
     press_points,
 )
-from tacshade_edge.core.stitching.surface_map import SurfaceMap
+from tacshade_edge.core.stitching.stitcher import SurfaceMap
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.types import HeightMap
 
-STEP_MM = surface_map.STEP_MM
+STEP_MM = stitcher.STEP_MM
 
 
 def cells(x: np.ndarray, y: np.ndarray, z: float | np.ndarray) -> np.ndarray:
@@ -87,9 +87,9 @@ def test_what_was_only_neared_is_not_touched() -> None:
 
 
 def test_its_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface_map, "TILES_MAX", 4)
+    monkeypatch.setattr(stitcher, "TILES_MAX", 4)
     fused = SurfaceMap()
-    tile_mm = surface_map.TILE * STEP_MM
+    tile_mm = stitcher.TILE * STEP_MM
     for k in range(4):
         fused.add(np.array(((k * tile_mm + 1, 1.0, 0.0),)), np.ones(1))
     before = fused.raster().z_mm.copy()

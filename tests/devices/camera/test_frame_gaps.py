@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.devices.camera.frame_gaps import FrameGaps
+from tacshade_edge.devices.base import FrameGaps
 
 pytestmark = pytest.mark.slow
 

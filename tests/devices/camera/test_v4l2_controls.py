@@ -9,7 +9,7 @@ import cv2
 import pytest
 
 from tacshade_edge.devices.camera import v4l2_node
-from tacshade_edge.devices.camera.v4l2_controls import (
+from tacshade_edge.devices.camera.v4l2_node import (
     AUTOMATICS,
     Control,
     Lock,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.stitching.flange import FoundFlange
-from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.storage.stitching.map_files import write_flange, write_map

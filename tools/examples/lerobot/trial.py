@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import Broker
 

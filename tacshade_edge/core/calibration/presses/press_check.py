@@ -15,14 +15,13 @@ from tacshade_edge.core.calibration.observation import PressObservation, observe
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.calibration.refit import LEAST_CELLS, contact_direction, placed_press
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
 from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.back_projection import skin_points
-from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.geometry.disc import disc_rays, skin_points
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.reasons import Reason

@@ -26,8 +26,8 @@ from tacshade_edge.core.calibration.presses.table_check import (
 )
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth import Network
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError

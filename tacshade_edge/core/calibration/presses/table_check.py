@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import Ball, Placed
+from tacshade_edge.core.calibration.indenters import Placed
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation import PressObservation, with_stated_place
 from tacshade_edge.core.calibration.presses.press_check import PressView
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Geometry, Polarity
 
 # With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
@@ -256,7 +256,7 @@ def _travel_share(found: F64, placed: Sequence[Placed], geometry: Geometry) -> t
     """The share of travel from first touch in the stated depths, 0 to 1 plus noise, and its standard deviation."""
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
-    missing = stated - np.array([_read_as_travel(at, r).depth_max_mm(r) for at in placed]) / scale
+    missing = stated - np.array([at.deeper(at.first_touch_mm(r)).depth_max_mm(r) for at in placed]) / scale
     x = np.stack((found, missing, np.ones_like(found)), axis=1)
     if np.linalg.matrix_rank(x) < x.shape[1]:
         return 0.0, math.inf
@@ -277,13 +277,3 @@ def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
     free = len(x) / (len(x) - x.shape[1])
     deviations: F64 = deviation * np.sqrt(free * np.diag(np.linalg.inv(normal)))
     return np.asarray(coefficients, np.float64), deviations
-
-
-def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:
-    """The place of a ball or another indenter if its stated depth is travel from first touch."""
-    if not isinstance(ball, Ball):
-        return ball.deeper(ball.first_touch_mm(skin_radius_mm))
-    beside2 = ball.x_mm**2 + ball.y_mm**2
-    skin_z = math.sqrt(max(skin_radius_mm**2 - beside2, 0.0))
-    touch_z = math.sqrt(max((skin_radius_mm + ball.radius_mm) ** 2 - beside2, 0.0))
-    return Ball(ball.x_mm, ball.y_mm, ball.z_mm + touch_z - ball.radius_mm - skin_z, ball.radius_mm)

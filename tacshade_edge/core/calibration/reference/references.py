@@ -7,13 +7,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.reference import pattern
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays, radius_squared
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.image.white import Binariser, BoxSums, Integrator, odd
@@ -197,3 +198,33 @@ def rezero(
     if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
         raise ConfigError(f"rejected the reference: {load}")
     return renewed
+
+
+# Side of a block: its mean reduces noise to an eighth, but hardly reduces a shift of the pattern.
+BLOCK_PX = 8
+# Something moves if the change exceeds that of the resting skin by this factor and these grey levels: 0.05 mm of a
+# ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors, 640x480, 20 frames).
+_REST_FACTOR, _REST_GREY = 1.3, 0.5
+REST_MOST_GREY = 8.0
+"""Grey levels above the `motion_grey` of any usable camera at rest."""
+
+
+def block_means(grey: U8) -> F32:
+    """Means over blocks of a grey image of at least 8 x 8: (H // 8, W // 8)."""
+    rows, cols = grey.shape[0] // BLOCK_PX, grey.shape[1] // BLOCK_PX
+    whole = grey[: rows * BLOCK_PX, : cols * BLOCK_PX].astype(np.float32)
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def motion_grey(blocks: Sequence[F32]) -> float:
+    """Change over time of the block that changed most, less the change shared by all: grey levels between the least and
+    the greatest mean of that block over `block_means` of at least one image, in any order.
+    """
+    change = np.stack(blocks) - blocks[0]
+    change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
+    return float((change.max(axis=0) - change.min(axis=0)).max())
+
+
+def stands_still(motion: float, rest: float) -> bool:
+    """Whether a `motion_grey` is that of a still image, given that of the untouched skin over as many images."""
+    return motion <= _REST_FACTOR * rest + _REST_GREY

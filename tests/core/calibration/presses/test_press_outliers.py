@@ -14,7 +14,7 @@ from support.observed_presses import PRESSES, SEEDS, observed
 
 from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, leave_one_out, outliers
-from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))

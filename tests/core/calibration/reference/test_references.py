@@ -16,8 +16,8 @@ from support.calibrated_sensor import (
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference.references import quarter_turned, rezero
-from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.geometry.disc import Grid
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor

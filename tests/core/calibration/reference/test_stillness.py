@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.calibrated_sensor import HALF, simulated
 
-from tacshade_edge.core.calibration.reference.stillness import block_means, motion_grey, stands_still
+from tacshade_edge.core.calibration.reference.references import block_means, motion_grey, stands_still
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.types import F32

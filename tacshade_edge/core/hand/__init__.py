@@ -1,1 +1,0 @@
-"""Combine several fingers' contacts into the motion of the object that they hold."""
