@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacshade_edge.capture.live import STILL_FRAMES, Live
+from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal
 from tacshade_edge.capture.robot_place import RobotLabels
 from tacshade_edge.capture.scale import ClockOffset, Press, Scale, find_offset, force_at
-from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.reference.references import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError, DeviceError

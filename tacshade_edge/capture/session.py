@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.capture.live import STILL_FRAMES, Live
+from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
-from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor

@@ -146,7 +146,7 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
                 grey[k], depth_mm=wrong.depth_mm, radius_mm=wrong.radius_mm, x_mm=wrong.x_mm, y_mm=wrong.y_mm
             )
             found = outliers([*observed[:k], as_seen(stated, view), *observed[k + 1 :]], geometry)
-            yield label, any(outlier.index == k for outlier in found)
+            yield label, k in found
             yield f"capture: {label}", bool(view and question(view, wrong, geometry))
 
 

@@ -8,16 +8,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.calibration.indenters import Indenter
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.simulator.press import OBJECTS
+from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, calibrate_sensors
 from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import U8, Calibration
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 
 NETWORKS = tuple(name for name in PROFILES if name != "paper")
@@ -110,3 +114,16 @@ def run(
         if draw is not None and study.will_draw(args, "the plots"):
             for end, content in draw(rows).items():
                 study.write(args.out / f"{stem}{end}.png", content)
+
+
+PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
+"""Standard deviations of a stated place, along x and y, and of a stated depth."""
+
+
+def stated_press(
+    rng: np.random.Generator, name: str, image: U8, press: Press, radius_mm: float, known: Indenter | None
+) -> KnownPress:
+    """State a press of a ball of `radius_mm`, or of another indenter that is `known`."""
+    x_mm, y_mm = (at + rng.normal(0, PLACE_NOISE_MM) for at in (press.x_mm, press.y_mm))
+    depth_mm = press.depth_mm + rng.normal(0, DEPTH_NOISE_MM)
+    return KnownPress(name, image, radius_mm, depth_mm, x_mm, y_mm, known, press.rotation_deg if known else 0.0)

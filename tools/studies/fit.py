@@ -47,8 +47,8 @@ from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE,
 from tacshade_edge.studies.evaluate.work import DEPTHS_MM, Scene, scenes
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
+from tools.studies.command import stated_press
 from tools.testbed.simulator.families import sensor_name
-from tools.testbed.stated_press import stated_press
 
 CASES = (
     "5/none,11/none,21/none,other:31/none,other:32/none,other:33/none,"

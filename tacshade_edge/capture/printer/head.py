@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from tacshade_edge.capture.live import InputEnded, Terminal
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
-from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.protocol import gcode
 from tacshade_edge.settings.sensor_file import PrinterFile
 from tacshade_edge.types import F64

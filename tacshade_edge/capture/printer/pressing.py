@@ -14,13 +14,12 @@ from typing import NoReturn
 
 import numpy as np
 
-from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.live import Live, Terminal
 from tacshade_edge.capture.printer.head import Head, KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
 from tacshade_edge.capture.printer.plan import BESIDE_START_MM, PlannedPress, check_reach
 from tacshade_edge.capture.printer.touch import NEAR_MM, ContactDetector, Touch
 from tacshade_edge.capture.session import Session
-from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.machine import Stand, first_touch_mm, skin_centre, stand, yaw_of
 from tacshade_edge.core.calibration.observation import pictured_places

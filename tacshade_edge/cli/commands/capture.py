@@ -13,7 +13,7 @@ import msgspec
 import yaml
 
 from tacshade_edge.capture.label_session import LabelSession
-from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.live import InputEnded, Live, Terminal
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.printer.line import PrinterLine
 from tacshade_edge.capture.printer.plan import planned_presses
@@ -21,7 +21,6 @@ from tacshade_edge.capture.printer.pressing import Pressing
 from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
 from tacshade_edge.capture.scale import BAUD, Scale, scale_port
 from tacshade_edge.capture.session import Session
-from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.cli.shared.options import add_option, add_sensor
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES

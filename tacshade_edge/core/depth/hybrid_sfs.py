@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
-from tacshade_edge.core.image.greyscale import Denoiser, chambolle, shape_grey
+from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessed, Preprocessor
 from tacshade_edge.types import F32, F64
 
@@ -109,11 +109,10 @@ class HybridSfs:
         self,
         preprocessor: Preprocessor,
         network: Network | None = None,
-        denoise: Denoiser = chambolle,
         depth: Callable[[GreyMaps, float], Depth] = hybrid_depth,
     ) -> None:
         self.grid = preprocessor.camera_grid
-        self._grey_mapper = GreyMapper(preprocessor, denoise)
+        self._grey_mapper = GreyMapper(preprocessor)
         self._depth = depth
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px

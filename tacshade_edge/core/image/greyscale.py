@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TypeVar
 
 import cv2
@@ -11,8 +10,6 @@ import numpy as np
 from tacshade_edge.types import F32, F64, U8, Bool
 
 Floats = TypeVar("Floats", F32, F64)
-Denoiser = Callable[[F32, float], F32]
-"""Total-variation denoising of an image of 0 to 1 with a weight."""
 
 ITERATIONS_MAX = 200
 # The iteration ends when the cost falls by less than this part of its first value.
@@ -28,17 +25,13 @@ def to_grey(image: U8, space: U8 | None = None) -> U8:
     return grey
 
 
-def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
-    """Eq. 1: ĝ = 255 s_w / s_t in a square window, at each cell of a grid.
+def white_ratio(white_sum: F32, total: F32) -> F32:
+    """Eq. 1: ĝ = 255 s_w / s_t, from the sums of white (0 or 1) and of the disc's pixels in a square window at each
+    cell of a grid: float32 (rows, cols), 0 to 255; 0 where the window holds no pixel of the disc.
 
     Only pixels inside the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
-
-    `white_sum` (float32 (rows, cols)): s_w, the white pixels in the window: sums of 0 and 1, or of mean images of 0 to
-    255 (see `full_scale`). `total` (float32 (rows, cols)): s_t, the disc's pixels in the window. `full_scale`: 255 for
-    sums of 0 and 1; 1 for sums of 0 to 255. Returns float32 (rows, cols), 0 to 255; 0 where the window holds no pixel
-    of the disc.
     """
-    g: F32 = (np.float32(full_scale) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
+    g: F32 = (np.float32(255) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
     return g
 
 
@@ -85,7 +78,7 @@ def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) ->
     return u.reshape(image.shape)
 
 
-def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chambolle) -> F32:
+def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
     """Total-variation denoising of the white ratio, Fig. 4(d).
 
     The mean of the inside fills the outside of the disc, so that its rim is not an edge of the image.
@@ -96,7 +89,7 @@ def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chamboll
     if weight == 0 or not inside.any():
         return g
     filled: F32 = np.divide(np.where(inside, g, g[inside].mean()), np.float32(255))
-    smooth: F32 = (255 * denoise(filled, weight)).astype(np.float32)
+    smooth: F32 = (255 * chambolle(filled, weight)).astype(np.float32)
     return smooth
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, Window, disc_mask, disc_rays
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.greyscale import Denoiser, chambolle
 from tacshade_edge.core.image.white import (
     Binariser,
     BoxSums,
@@ -159,8 +158,8 @@ class GreyMaps:
 class GreyMapper:
     """Denoises white ratios, then applies eq. 9 without the common change of light."""
 
-    def __init__(self, preprocessor: Preprocessor, denoise: Denoiser = chambolle) -> None:
-        self._preprocessor, self._denoise = preprocessor, denoise
+    def __init__(self, preprocessor: Preprocessor) -> None:
+        self._preprocessor = preprocessor
         self._inside = preprocessor.rays.inside
         self._g0 = self._smooth(preprocessor.reference_g)
 
@@ -172,7 +171,7 @@ class GreyMapper:
         return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=self._inside)
 
     def _smooth(self, g: F32) -> F32:
-        return greyscale.denoise_tv(g, self._inside, self._preprocessor.profile.tv_weight, self._denoise)
+        return greyscale.denoise_tv(g, self._inside, self._preprocessor.profile.tv_weight)
 
 
 def is_halved(calibration: Calibration, profile: Profile) -> bool:

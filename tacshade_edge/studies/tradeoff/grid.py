@@ -9,19 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.depth import Depth, MakeSolver
+from tacshade_edge.core.depth import Depth
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, finite_shape_grey, hybrid_depth, scaled
-from tacshade_edge.core.image.greyscale import chambolle
 from tacshade_edge.core.image.preprocess import GreyMaps
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.types import F32, Calibration
-
-
-def chambolle_float64(image: F32, weight: float) -> F32:
-    """`chambolle` in float64."""
-    return chambolle(image.astype(np.float64), weight).astype(np.float32)
+from tacshade_edge.types import Calibration
 
 
 def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
@@ -30,26 +24,18 @@ def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
     return scaled(g_hn.astype(np.float64), alpha_mm, bad)
 
 
-DENOISERS: Mapping[str, Callable[[F32, float], F32]] = {
-    "float32": chambolle,
-    "float64": chambolle_float64,
-}
-"""The total-variation denoising in each precision, from an image of 0 to 1 and a weight."""
-
 WORDS: dict[str, Callable[[Any], str]] = {
     "solver": "solver {}".format,
     "halved": lambda halved: "halved" if halved else "not halved",
     "stride_px": "stride {} px".format,
     "window_pitches": "window {} pitch".format,
     "tv_weight": "TV {:g}".format,
-    "tv_precision": "TV {}".format,
 }
 """The varied fields, and a formatter of each."""
 
 # A frame takes half a second at stride 1; only the decisive variations use it.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"scaled_grey": True},
-    {"tv_precision": "float64"},
     {"halved": True},
     {"stride_px": 4},
     {"stride_px": 8},
@@ -65,7 +51,6 @@ class Setting:
 
     profile: Profile  # a shipped one, or a variation with its name, network and factor
     scaled_grey: bool = False  # the paper's method without eq. 11
-    tv_precision: str = "float32"  # key of `DENOISERS`
 
     @property
     def shipped(self) -> bool:
@@ -75,11 +60,8 @@ class Setting:
     @property
     def fields(self) -> dict[str, Any]:
         """The fields that may vary (`WORDS`), with their values."""
-        own = {
-            "solver": "grey" if self.scaled_grey else self.profile.solver,
-            "tv_precision": self.tv_precision,
-        }
-        return {field: own[field] if field in own else getattr(self.profile, field) for field in WORDS}
+        solver = {"solver": "grey"} if self.scaled_grey else {}
+        return {field: getattr(self.profile, field) for field in WORDS} | solver
 
     @property
     def varied(self) -> str:
@@ -111,14 +93,10 @@ def _changed(profile: Profile, changes: Mapping[str, Any]) -> Setting:
 def make(setting: Setting, calibration: Calibration) -> Reconstructor:
     """Make the reconstructor of a setting, with its own network if it needs one."""
     profile = setting.profile
+    if profile.network:
+        return Reconstructor(calibration, profile, load_network(profile.network))
     return Reconstructor(
         calibration,
         profile,
-        load_network(profile.network) if profile.network else None,
-        None if profile.network else _hybrid_sfs(setting),
+        make_solver=partial(HybridSfs, depth=scaled_grey if setting.scaled_grey else hybrid_depth),
     )
-
-
-def _hybrid_sfs(setting: Setting) -> MakeSolver:
-    denoise, depth = DENOISERS[setting.tv_precision], scaled_grey if setting.scaled_grey else hybrid_depth
-    return partial(HybridSfs, denoise=denoise, depth=depth)

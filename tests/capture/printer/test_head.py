@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from support import fake_printer
 from support.fake_printer import Dialect, FakePrinter
 
+from tacshade_edge.capture.live import Terminal
 from tacshade_edge.capture.printer.head import Head, KeypressStop, segments
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
-from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings.sensor_file import PrinterFile

@@ -15,12 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.fake_printer import FakePrinter, Faults, Sensor
 
-from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.live import Live, Terminal
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.printer.head import Head, KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop
 from tacshade_edge.capture.printer.touch import ContactDetector, Expected, Touch, descent, search
-from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor as Stated
 from tacshade_edge.core.calibration.presses.press_check import PressCheck

@@ -47,7 +47,7 @@ def scaled(press: PressObservation, by: float) -> PressObservation:
 
 def decisions(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[object, ...]:
     return (
-        [outlier.index for outlier in outliers(observations, geometry)],
+        list(outliers(observations, geometry)),
         without_numbers(table_hints(observations, geometry)),
         without_numbers(missing_coverage(observations, geometry)),
         pytest.approx(agreement_mae_mm(observations, geometry) / geometry.skin_radius_mm, rel=1e-6),

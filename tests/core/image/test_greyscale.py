@@ -32,7 +32,6 @@ def test_eq_1_counts_only_the_disc(seed: int, most: int) -> None:
     np.testing.assert_allclose(g, exact, rtol=1e-6, atol=1e-6)
     assert (g >= 0).all()
     assert (g <= 255).all()
-    np.testing.assert_allclose(greyscale.white_ratio(255 * s_w, s_t, full_scale=1.0), g, rtol=1e-6)
 
 
 def test_grey_of_three_equal_channels_is_that_channel() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tacshade_edge.protocol.serial.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
 from tacshade_edge.reasons import Reason, ReasonCode
-from tools.testbed.robot_links import LINES, Clock
+from tools.testbed.robot import LINES, Clock
 
 S = 10**9
 MS = 10**6

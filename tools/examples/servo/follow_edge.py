@@ -16,8 +16,7 @@ import math
 import sys
 from collections.abc import Mapping
 
-from tools.examples.servo.control import Loop
-from tools.examples.servo.running import Velocity, options, run
+from tools.examples.servo.running import Loop, Velocity, options, run
 
 NAMES = ("depth_mm", "y_mm", "edge_deg")
 LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0

@@ -7,6 +7,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import tacshade_edge as ts
 from tools.examples.servo.robot import STOP_S, Robot
@@ -62,3 +63,27 @@ def numbers(r: ts.Result, names: Sequence[str]) -> Mapping[str, float] | None:
     touch = r.touch or {}
     found = {name: value for name in names if (value := touch.get(name)) is not None}
     return found if len(found) == len(names) else None
+
+
+PROPORTIONAL_PER_S = 4.0
+INTEGRAL_PER_S2 = 4.0
+"""Without delay, both poles are at -2/s: an error decays within about a second, even if it would grow steadily."""
+
+
+@dataclass(slots=True)
+class Loop:
+    """A proportional-integral controller with a greatest velocity, in the error's unit per second.
+
+    `held` is the integral part of the velocity, which stays constant while the limit applies.
+    """
+
+    limit: float
+    held: float = 0.0
+
+    def velocity(self, error: float, dt_s: float) -> float:
+        """Compute the velocity that reduces an error to 0; `dt_s` is the time since the last call."""
+        held = self.held + INTEGRAL_PER_S2 * error * dt_s
+        wanted = PROPORTIONAL_PER_S * error + held
+        if abs(wanted) <= self.limit:
+            self.held = held
+        return max(-self.limit, min(self.limit, wanted))

@@ -24,7 +24,7 @@ from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE
 from tacshade_edge.types import F64
-from tools.testbed.stated_press import stated_press
+from tools.studies.command import stated_press
 
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "working": {
@@ -208,7 +208,7 @@ class Kept:
 
 
 def kept_file(folder: Path, range_name: str, sensor: int, what: str, number: int) -> Path:
-    """The file of a path's states; `what` is empty, ``press`` or ``touch``."""
+    """The file of a path's states; `what` is empty or ``press``."""
     return folder / "-".join(filter(None, (range_name, str(sensor), what, f"{number}.npz")))
 
 

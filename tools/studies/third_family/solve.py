@@ -3,7 +3,7 @@
 ::
 
     nice PYTHON -m tools.studies.third_family.solve --states FOLDER [--range working] [--sensors 6] [--ways 6]
-        [--presses 40] [--touch]
+        [--presses 40]
 
 PYTHON must have MuJoCo (requirements.txt). The object is a heavy body with a prescribed velocity. Every point of the
 skin's outside carries a small ball that can touch the object, so contact is between points and a rigid surface and
@@ -28,7 +28,6 @@ from scipy.spatial import Delaunay
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import F64, I64, Bool
-from tools.studies.third_family import touch
 from tools.studies.third_family.domes import (
     FIRST_SEED,
     RANGES,
@@ -260,10 +259,6 @@ def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
         for what, paths in wanted.items():
             for k, way in enumerate(paths):
                 yield kept_file(options.states, options.range, sensor, what, k), dome, way
-    if options.touch:
-        _, dome = drawn(touch.RANGE, touch.SENSOR)
-        for k, (way, _) in enumerate(touch.ways(dome)):
-            yield touch.file_of(options.states, k), dome, way
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -273,7 +268,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sensors", type=int, default=6)
     parser.add_argument("--ways", type=int, default=6, help="objects on each sensor, two states each")
     parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
-    parser.add_argument("--touch", action="store_true", help="the paths of touch.py too")
     parser.add_argument("--states", type=Path, required=True, help="existing files stay as they are")
     options = parser.parse_args(arguments)
     options.states.mkdir(parents=True, exist_ok=True)

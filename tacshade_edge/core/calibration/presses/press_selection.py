@@ -127,16 +127,10 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
     return np.stack(columns, axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Outlier:
-    """A press that disagrees: its index and the reason, as a message."""
-
-    index: int
-    reason: str
-
-
-def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[Outlier, ...]:
-    """Presses with a stated place, ball or depth far from the shown one; all others together predict the depth."""
+def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """A message for each press, by its index, whose stated place, ball or depth is far from the shown one; all others
+    together predict the depth.
+    """
     reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
         # Repeat without the worst: many wrong presses widen the deviation and so hide each other.
@@ -152,7 +146,7 @@ def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tu
         if not found:
             break
         reasons |= found
-    return tuple(Outlier(k, reasons[k]) for k in sorted(reasons))
+    return dict(sorted(reasons.items()))
 
 
 def _depth_reason(press: PressObservation, error_mm: float) -> str:
@@ -269,7 +263,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         mistakes := _gross_mistakes(geometry, pressed, views if viewer else None, observations)
     ):
         raise ConfigError("; ".join(mistakes))
-    disagreeing = {outlier.index: outlier.reason for outlier in outliers(observations, geometry)}
+    disagreeing = outliers(observations, geometry)
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
