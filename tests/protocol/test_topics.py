@@ -1,9 +1,10 @@
-"""The JSON of each topic: what a daemon fills in, what a subscriber understands of it, and what it refuses."""
+"""What is told in JSON and announced to Home Assistant, and where a broker is, as people write it."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,11 @@ from support.networks import fitted_with
 from support.published_sensor import calibration, health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.errors import DecodeError
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import codec, messages, topics
+from tacshade_edge.protocol.broker_address import host_and_port
+from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
 
@@ -223,3 +227,66 @@ def test_a_state_that_is_none_is_refused_in_one_line(sent: bytes) -> None:
 def test_a_health_that_no_daemon_tells_is_refused(changed: dict[str, Any]) -> None:
     with pytest.raises(DecodeError, match=r"^health: "):
         topics.decode_health(json.dumps({**json.loads(health()), **changed}).encode())
+
+
+ANNOUNCED = encode_discovery("left-index", version="0.1.0", profiles=tuple(PROFILES))
+COMMON = {"name", "unique_id", "device", "origin", "availability"}
+KINDS: dict[str, tuple[set[str], set[str]]] = {  # keys that a component needs, and may have: others it leaves out
+    "sensor": (
+        {"state_topic"},
+        {"value_template", "unit_of_measurement", "device_class", "state_class", "suggested_display_precision"},
+    ),
+    "binary_sensor": ({"state_topic", "value_template"}, set()),
+    "select": ({"command_topic", "command_template", "state_topic", "value_template", "options", "qos"}, set()),
+    "button": ({"command_topic", "payload_press", "qos"}, set()),
+}
+
+
+@pytest.mark.parametrize("topic", discovery_topics("left-index"))
+def test_it_is_as_the_documentation_says(topic: str) -> None:
+    root, component, node, name, end = topic.split("/")
+    assert (root, node, end) == ("homeassistant", "left-index", "config")
+    entity = json.loads(ANNOUNCED[topic])
+    needed, may = KINDS[component]
+    assert COMMON | needed <= set(entity) <= COMMON | needed | may | {"entity_category"}
+    assert entity["unique_id"] == f"tacshade_left-index_{name}"
+    assert entity.get("entity_category", "config") in ("config", "diagnostic")
+    offered = [profile for profile in PROFILES if profile != "paper"]
+    assert entity.get("options", offered) == offered
+    assert set(entity["device"]) == {"identifiers", "name", "model", "sw_version"}
+    assert set(entity["origin"]) == {"name", "sw_version"}
+    (availability,) = entity["availability"]
+    assert (set(availability), availability["topic"]) == ({"topic", "value_template"}, "tacshade/left-index/state")
+    topics = [value for key, value in entity.items() if key.endswith("_topic")]
+    assert all(re.fullmatch(r"tacshade/left-index/[a-z_/]+", one) for one in topics)
+
+
+def test_what_is_announced_is_what_would_be_taken_back() -> None:
+    assert tuple(ANNOUNCED) == discovery_topics("left-index")
+    assert len({json.loads(payload)["unique_id"] for payload in ANNOUNCED.values()}) == len(ANNOUNCED)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("board", ("board", 1883)),
+        ("board:99", ("board", 99)),
+        ("[::1]:99", ("::1", 99)),
+        ("127.0.0.1:65535", ("127.0.0.1", 65535)),
+    ],
+)
+def test_a_broker_is_a_host_and_a_port(text: str, found: tuple[str, int]) -> None:
+    assert host_and_port(text) == found
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", ":", ":1883", "host:", "host:0", "host:65536", "host:٣", "host:" + "1" * 5000, "h" * 64, "a." * 127),
+        *("mqtt://h", "mqtt://h:1883", "::1", "[::1", "h,i", "a@h:1883", "[h:1]:1883"),
+    ],
+)
+def test_what_is_none_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as") as caught:
+        host_and_port(text)
+    assert len(str(caught.value)) < 150

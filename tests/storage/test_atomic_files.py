@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
+from tacshade_edge.storage.folder_lock import FolderLock
 
 
 @pytest.mark.parametrize("wait", [True, False])
@@ -28,3 +33,49 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_is_named(tmp_path: Pat
         sync(tmp_path / "none")
     with pytest.raises(DeviceError, match=rf"^{tmp_path}: cannot write it: no name"), disk_errors(tmp_path):
         raise OSError("no name")
+
+
+_HOLD = """
+import sys
+from pathlib import Path
+from tacshade_edge.storage.folder_lock import FolderLock
+lock = FolderLock(Path(sys.argv[1]), "sensor left")
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_folder_has_one_owner_and_says_who(tmp_path: Path) -> None:
+    folder = tmp_path / "sessions"
+    lock = FolderLock(folder, "sensor left")
+    with pytest.raises(DeviceError, match=f"in use by 'sensor left, process {os.getpid()}'") as caught:
+        FolderLock(folder, "sensor right")
+    assert caught.value.code == ReasonCode.IN_USE
+    lock.release()
+    FolderLock(folder, "right").release()
+    with pytest.raises(DeviceError, match="cannot write it"):
+        FolderLock(Path("/proc/none"), "sensor left")
+
+
+def test_one_file_alone_has_an_owner(tmp_path: Path) -> None:
+    lock = FolderLock(tmp_path, "sensor left", file="a.npz")
+    with pytest.raises(DeviceError, match=r"a\.npz: in use by .*, expected a file that no other program is using"):
+        FolderLock(tmp_path, "sensor right", file="a.npz")
+    FolderLock(tmp_path, "sensor right", file="b.npz").release()
+    FolderLock(tmp_path, "sensor right").release()
+    lock.release()
+
+
+def test_a_dead_process_keeps_nothing(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLD, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(DeviceError, match=f"process {process.pid}"):
+            FolderLock(tmp_path, "sensor right")
+        process.kill()
+    FolderLock(tmp_path, "sensor right").release()

@@ -1,10 +1,12 @@
-"""The sensors, scenes and rows of an evaluation."""
+"""The sensors, scenes and rows of an evaluation; figures over rows, their tables and documents."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import replace
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,19 @@ from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import random_model
+from tacshade_edge.simulator.press import PAPER_OBJECTS
+from tacshade_edge.studies.evaluate import labelled
+from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements
+from tacshade_edge.studies.evaluate.report import (
+    TABLE_I,
+    beats_table_i,
+    by_object,
+    document,
+    figures,
+    null_figures,
+    table,
+    worst,
+)
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.studies.evaluate.work import (
@@ -19,6 +34,7 @@ from tacshade_edge.studies.evaluate.work import (
     RINGS,
     Evaluation,
     Plan,
+    Timing,
     evaluate,
     places,
     scenes,
@@ -112,3 +128,164 @@ def test_profiles_are_timed_one_by_one(found: Evaluation) -> None:
     assert list(timings) == ["fast", "paper"]
     assert 0 < timings["fast"].p50_ms < timings["paper"].p50_ms
     assert timings["fast"].steps == 6
+
+
+ROW = Row(
+    profile="fast", sensor="default", object="ball", image="", depth_mm=3.0, x_mm=0.0, y_mm=0.0, rotation_deg=0.0,
+    valid=True, contact=True, saturated=False, true_depth_mm=3.0, found_depth_mm=2.7, depth_error_pct=-10.0, me_mm=0.2,
+    sd_pct=92.0, sd_sum_pct=84.0, backward_mm=0.3, iou=0.8, points=100, true_points=120, objects=1, repaired_px=0,
+    degraded="",
+)  # fmt: skip
+
+
+def test_a_missed_contact_counts_as_a_skin_left_alone() -> None:
+    missed = replace(ROW, me_mm=math.nan, backward_mm=math.nan, sd_pct=0.0, iou=0.0, contact=False, true_depth_mm=3.0)
+    found = figures([replace(ROW, me_mm=0.2, backward_mm=0.4, sd_pct=90.0), missed])
+    assert found.missed == 1
+    assert (found.me_mm, found.backward_mm, found.sd_pct) == pytest.approx((1.6, 1.7, 45))
+
+
+def test_the_worst_object_is_the_largest_mean_over_one_objects_presses() -> None:
+    rows = [
+        replace(ROW, object="cube", me_mm=0.1, sd_pct=99.0, iou=0.9),
+        replace(ROW, object="cube", me_mm=0.9, sd_pct=91.0, iou=0.9),
+        replace(ROW, object="ball", me_mm=0.6, sd_pct=94.0, iou=0.5),
+    ]
+    objects = by_object(rows)
+    assert list(objects) == ["cube", "ball"]
+    found = worst(list(objects.values()))
+    assert (found.me_mm, found.sd_pct, found.iou) == pytest.approx((0.6, 94, 0.5))
+
+
+def test_frames_without_contact() -> None:
+    null = replace(ROW, object="none", true_points=0, contact=False, found_depth_mm=0.0)
+    rows = [ROW, null, replace(null, contact=True, found_depth_mm=0.4), replace(null, valid=False)]
+    found = null_figures(rows)
+    assert (found.frames, found.phantoms, found.deepest_mm, found.refused) == (3, 1, 0.4, 1)
+    assert figures(rows).presses == 1
+
+
+def test_table_i_is_beaten_in_both_measures_or_not() -> None:
+    assert len(TABLE_I) == 5
+    rows = [
+        replace(ROW, object="cube", me_mm=0.5, sd_pct=90.0),
+        replace(ROW, object="ball", me_mm=0.05, sd_pct=90.0),
+        replace(ROW, object="ring", me_mm=0.01, sd_pct=99.0),
+    ]
+    assert beats_table_i(by_object(rows)) == (1, 2)
+
+
+NULL = replace(
+    ROW, object="none", contact=False, true_points=0, me_mm=math.nan, sd_pct=math.nan, iou=math.nan, found_depth_mm=0.0
+)
+ROWS = [
+    *(replace(ROW, object=name, me_mm=0.1 * (k + 1)) for k, name in enumerate((*PAPER_OBJECTS, "ring"))),
+    NULL,
+]
+TIMINGS = {"fast": Timing(7.25, 15)}
+
+
+def test_families_are_not_mixed() -> None:
+    other = [replace(row, sensor=f"other:{row.sensor}", me_mm=2 * row.me_mm) for row in ROWS]
+    text = table([*ROWS, *other], TIMINGS)
+    first, second = text.split("Family other")
+    assert first.startswith("Family tacshade")
+    assert first.removeprefix("Family tacshade").strip() == table(ROWS, TIMINGS)
+    assert second.strip() == table(other, TIMINGS)
+
+
+def test_the_document_is_json_that_any_program_reads() -> None:
+    nowhere = replace(ROW, object="ring", iou=math.nan)
+    made = document([ROWS[0], nowhere, NULL], TIMINGS, {"presses": 40})
+    text = json.dumps(made, allow_nan=False)
+    read = json.loads(text)
+    fast = read["profiles"]["fast"]
+    assert fast["objects"]["ring"]["iou"] is None
+    assert fast["paper_objects"]["mean"]["me_mm"] == fast["objects"]["cube"]["me_mm"] == 0.1
+    assert fast["other_objects"]["worst"]["me_mm"] == 0.2
+    assert fast["without_contact"]["frames"] == 1
+    assert fast["timing"] == {"p50_ms": 7.25, "steps": 15}
+    assert read["settings"] == {"presses": 40}
+    assert {"python", "numpy", "tacshade-edge"} <= set(read["versions"])
+    assert read["table_i"]["ball"] == {"me_mm": 0.1039, "sd_pct": 96.02}
+
+
+def row(k: int, depth: float, shear: tuple[float, float], tilt: tuple[float, float], refused: str = "") -> FoundRow:
+    return FoundRow(f"{k}.png", "fast", refused, True, False, False, depth, 3 * depth, *tilt, *shear)
+
+
+def some(count: int = 60) -> tuple[list[FoundRow], list[Mapping[str, float]]]:
+    """Found depth is half the true one; the robot's axes are turned by 30 degrees and one of them is mirrored."""
+    rng = np.random.default_rng(5)
+    a = math.radians(30)
+    turned = np.array(((math.cos(a), -math.sin(a)), (-math.sin(a), -math.cos(a))))
+    rows, known = [], []
+    for k in range(count):
+        depth, shear, tilt = rng.uniform(1, 5), rng.uniform(-5, 5, 2), rng.uniform(-20, 20, 2)
+        rows.append(row(k, 0.5 * depth + 0.2, tuple((0.8 * turned @ shear).tolist()), tuple((turned @ tilt).tolist())))
+        known.append(
+            {
+                "depth_mm": depth,
+                "shear_x_mm": shear[0],
+                "shear_y_mm": shear[1],
+                "tilt_x_deg": tilt[0],
+                "tilt_y_deg": tilt[1],
+            }
+        )
+    return rows, known
+
+
+def test_what_is_the_same_in_other_axes_agrees_wholly() -> None:
+    rows, known = some()
+    for made in agreements(rows, known):
+        assert made.rank_correlation == pytest.approx(1.0)
+        assert made.error < 1e-9
+    assert [made.quantity for made in agreements(rows, known)] == [
+        "depth",
+        "depth by volume",
+        "tilt",
+        "shear",
+        "shear, by tilt and depth too",
+    ]
+    assert [made.frames for made in agreements(rows, known)] == [60, 60, 30, 30, 30]
+
+
+def test_refused_frames_and_unknown_labels_are_left_out() -> None:
+    rows, known = some()
+    rows[0] = row(0, 99.0, (9.0, 9.0), (9.0, 9.0), refused="torn")
+    known[2] = {}
+    assert [made.frames for made in agreements(rows, known)][:2] == [58, 58]
+    assert all(made.rank_correlation == pytest.approx(1.0) for made in agreements(rows, known))
+    assert agreements(rows, [{}] * len(rows)) == []
+
+
+def test_the_text_counts_and_the_document_has_no_nan() -> None:
+    rows, known = some()
+    rows[3] = row(3, math.nan, (math.nan, math.nan), (math.nan, math.nan), refused="dark")
+    made = {"fast": agreements(rows, known)}
+    assert "|    fast |     60 |       1 |" in labelled.text(rows, made)
+    frames = labelled.document(rows, made)["frames"]
+    assert isinstance(frames, list)
+    assert frames[3]["shear_x_mm"] is None
+
+
+def test_a_flange_that_tilts_drags_the_skin_elsewhere() -> None:
+    rows, known = some(200)
+    tilted = [replace(each, shear_x_mm=each.shear_x_mm + 0.3 * each.tilt_y_deg) for each in rows]
+    shear, by_tilt = agreements(tilted, known)[3:]
+    assert shear.rank_correlation < 0.9
+    assert by_tilt.rank_correlation == pytest.approx(1.0)
+    assert by_tilt.error < 1e-9
+
+
+@dataclass(frozen=True)
+class Line:
+    name: str
+    found: bool
+    depth_mm: float
+
+
+def test_csv_has_a_column_for_each_field_and_nothing_for_nan() -> None:
+    rows = [Line("a, b", True, 1.23456789), Line("", False, math.nan)]
+    assert csv_text(Line, rows) == 'name,found,depth_mm\n"a, b",1,1.23457\n,0,\n'
+    assert csv_text(Line, []) == "name,found,depth_mm\n"

@@ -13,9 +13,14 @@ import pytest
 from support.trade_points import point
 
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import STAGES
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.studies.evaluate.work import one_thread, stages_ms, work_ns
 from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.measure import Estimate
 from tacshade_edge.studies.tradeoff.report import best_within, over_budget, settings_block
+from tacshade_edge.types import Frame
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 SETTINGS = [
@@ -84,3 +89,28 @@ def test_points_without_intervals_or_figures_are_drawn_or_left_out(budget_ms: fl
     image = cv2.imdecode(np.frombuffer(report.draw(points, budget_ms), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.std() > 10
+
+
+def test_the_stages_that_are_run_in_their_order() -> None:
+    made = make_reconstructor(painted_calibration(), PROFILES["fast"])
+    touched, free = (stages_ms(made, Frame(0, 0, 0, image)) for image in (TOUCHED, FREE))
+    assert tuple(touched) == tuple(stage for stage in STAGES if stage != "denoise")
+    assert tuple(free) == ("check", "grey", "gate")
+    assert min(*touched.values(), *free.values()) >= 0
+    assert sum(touched.values()) > 0
+    assert sum(stages_ms(made, Frame(0, 0, 0, TOUCHED), work_ns).values()) > 0
+
+
+def test_the_threads_are_as_before_also_after_a_failure() -> None:
+    before = cv2.getNumThreads()
+    during = []
+
+    def fail() -> None:
+        with one_thread():
+            during.append(cv2.getNumThreads())
+            raise ValueError("x")
+
+    with pytest.raises(ValueError, match="x"):
+        fail()
+    assert during == [1]
+    assert cv2.getNumThreads() == before

@@ -1,18 +1,27 @@
-"""The MQTT link against a real mosquitto: up, away, restarted, stalled, killed, refused."""
+"""The link on a real broker: its frames and requests, what a broker refuses, and addresses that can never work."""
 
 from __future__ import annotations
 
 import json
 import logging
+import socket
+import ssl
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from support.link_rig import BASE, Rig, broker_test, needs_mosquitto, numbers
+from paho.mqtt.client import MQTTMessage
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, numbers, offer_for
 
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.protocol import messages, requests, wire
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
 from tools.testbed.mqtt_rig import Broker, Subscriber
@@ -135,3 +144,217 @@ class TestUp:
         assert "connected" in caplog.text
         assert "pa55word" not in caplog.text
         assert "pay1oad" not in caplog.text
+
+
+@broker_test
+@needs_mosquitto
+class TestRefused:
+    def test_wrong_password_is_a_state_with_a_reason(self, tmp_path: Path) -> None:
+        with Broker(tmp_path, users={"sensor": "right"}) as broker:
+            wrong = Rig(broker.port, username="sensor", password="wrong")
+            wrong.link.start()
+            wait_until(lambda: code(wrong) is ReasonCode.REFUSED, 5, "the reason")
+            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: rejects the connection: Not authorized"
+            assert not wrong.link.connected
+            wrong.link.stop(2)
+            Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
+
+    def test_what_the_access_rules_deny_is_told_once_and_never_counts_as_published(
+        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """The rules as shipped, and a sensor_id that is not the user's name."""
+        caplog.set_level(logging.INFO)
+        rules = tmp_path / "acl"
+        rules.touch(0o600)
+        rules.write_text((Path(__file__).parents[3] / "systemd/mosquitto-tacshade.acl").read_text())
+        with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
+            rig = Rig(broker.port, username="hand", password="right").connect()
+            rig.link.set_retained("status/camera", b"{}")
+            offered = offer_for(rig, 2.0)
+            offered += offer_for(rig, 0.2, first=offered)
+            rig.link.reply(Request("status"), b"{}")
+            wait_until(lambda: rig.counts("height").total() == offered, 5, "all are settled")
+            counts = rig.counts("height")
+            assert counts["published"] == 0
+            assert counts["refused"] >= offered - 5
+            counters = rig.link.counters()
+            assert counters["refused"] >= counts["refused"] + 2  # state, status/camera
+            assert counters["published"] == 0
+            wait_until(lambda: rig.link.counters()["refused"] > counters["refused"], 5, "the reply is refused too")
+            rig.link.stop(2)
+        told = [record for record in caplog.records if record.levelno >= logging.WARNING]
+        assert [record.getMessage() for record in told] == [
+            f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access rules (ACL) that allow "
+            f"this user to publish to {BASE}/#; further rejections are not logged"
+        ]
+
+    def test_a_stream_that_alone_is_denied_is_refused_and_the_others_go_out(self, tmp_path: Path) -> None:
+        rules = tmp_path / "acl"
+        rules.touch(0o600)
+        rules.write_text(f"topic readwrite {BASE}/#\ntopic deny {BASE}/cloud\n")
+        with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
+            rig = Rig(broker.port).connect()
+            rig.link.offer("cloud", b"0", 0)
+            wait_until(lambda: rig.outcomes["cloud"] == [(0, "refused")], 5, "refused")
+            for seq in range(1, 5):
+                rig.link.offer("height", b"%d" % seq, seq)
+                rig.link.offer("cloud", b"%d" % seq, seq)
+                wait_until(lambda seq=seq: rig.counts("cloud").total() == seq + 1, 5, "settled")
+            seen.wait_for(f"{BASE}/height", 4)
+            assert rig.counts("cloud") == {"refused": 5}
+            assert rig.counts("height") == {"published": 4}
+            rig.link.stop(2)
+
+    def test_something_else_on_the_port(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            rig = Rig(server.getsockname()[1])
+            rig.link.start()
+            peer, _ = server.accept()
+            peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+            peer.close()
+            wait_until(lambda: code(rig) is ReasonCode.NO_ANSWER, 5, "the reason")
+            rig.link.stop(2)
+        assert not rig.link.connected
+
+    # paho leaves the socket of a failed handshake to the garbage collector
+    @pytest.mark.filterwarnings("ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning")
+    def test_tls(self, tmp_path: Path) -> None:
+        with Broker(tmp_path, tls=True) as broker:
+            rig = Rig(broker.port, tls_ca=str(broker.ca)).connect()
+            rig.link.offer("height", b"x", 0)
+            wait_until(lambda: rig.outcomes["height"] == [(0, "published")], 3, "published")
+            rig.link.stop(2)
+            (tmp_path / "other").mkdir()
+            other = Broker(tmp_path / "other", tls=True)
+            stranger = Rig(broker.port, tls_ca=str(other.ca))
+            stranger.link.start()
+            wait_until(lambda: "certificate verify failed" in str(stranger.link.reason), 5, "the reason")
+            stranger.link.stop(2)
+
+
+def test_authority_file_that_is_none_is_a_configuration_error(tmp_path: Path) -> None:
+    (tmp_path / "not.pem").write_text("hello")
+    for name in ("not.pem", "absent.pem"):
+        with pytest.raises(ConfigError, match=f"{name}.*expected a PEM file") as caught:
+            Rig(1883, tls_ca=str(tmp_path / name))
+        assert isinstance(caught.value.__cause__, OSError | ssl.SSLError)
+
+
+@pytest.mark.parametrize("topic", ["", "/a", "a/", "a/+/b", "a/#", "a\0"])
+def test_topic_that_cannot_be_published_is_a_configuration_error(topic: str) -> None:
+    with pytest.raises(ConfigError, match="expected levels"):
+        MqttLink(host="h", port=1, base_topic=topic, client_id="c", on_request=print, on_outcome=print)
+
+
+@pytest.mark.parametrize("host", ["", "a..b", "x" * 70])
+def test_host_that_cannot_be_one_is_a_configuration_error(host: str) -> None:
+    with pytest.raises(ConfigError, match="expected a host name"):
+        MqttLink(host=host, port=1, base_topic="t", client_id="c", on_request=print, on_outcome=print)
+
+
+@broker_test
+@needs_mosquitto
+class TestRequests:
+    def test_request_and_reply_for_any_client(self, rig: Rig, subscriber: Subscriber) -> None:
+        subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')
+        request = rig.requests.get(timeout=patience(5))
+        assert request == Request("profile", "t1", "fast")
+        rig.link.reply(request, requests.encode_reply(request, {"profile": "fast"}))
+        assert json.loads(subscriber.wait_for(f"{BASE}/res/profile")[0])["transaction"] == "t1"
+
+    def test_mqtt5_client_is_answered_where_it_asked(self, rig: Rig, broker: Broker) -> None:
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = asked = f"{BASE}/res/of/me"
+        properties.CorrelationData = b"\x00\x01"
+        with Subscriber(broker.port, "#", v5=True) as client:
+            client.publish(f"{BASE}/req/status", b"{}", properties=properties)
+            request = rig.requests.get(timeout=patience(5))
+            rig.link.reply(request, b"fine")
+            client.publish(f"{BASE}/req/status", b"garbage", properties=properties)
+            assert client.wait_for(asked, 2)[0] == b"fine"
+            answers = [m for m in client.messages if m.topic == asked]
+            assert [m.properties.CorrelationData for m in answers] == [b"\x00\x01"] * 2
+            assert json.loads(answers[1].payload)["ok"] is False
+            assert client.of(f"{BASE}/res/status") == []
+
+    @pytest.mark.parametrize(
+        "asked",
+        [
+            *(f"{BASE}/{topic}" for topic in ("state", "map/final", "req/status", "res", "res/", "resx/a", "RES/a")),
+            *("me/answers", "tacshade/other/res/a", "/", " ", f"/{BASE}/res/a"),
+        ],
+    )
+    def test_a_reply_goes_below_res_whatever_topic_is_asked_for(self, rig: Rig, broker: Broker, asked: str) -> None:
+        """Who may ask may not speak as the hand, nor make it speak elsewhere."""
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = asked
+        with Subscriber(broker.port, "#", v5=True) as client:
+            before = len(client.messages)
+            for payload in (b"{}", b"garbage"):
+                client.publish(f"{BASE}/req/status", payload, properties=properties)
+            rig.link.reply(rig.requests.get(timeout=patience(5)), b"fine")
+            client.wait_for(f"{BASE}/res/status", 2)
+            topics = {m.topic for m in client.messages[before:] if not m.retain}
+            own = {f"{BASE}/state", f"{BASE}/instance"}  # of its connecting, still on their way
+            assert topics - own == {f"{BASE}/req/status", f"{BASE}/res/status"}
+            assert set(client.of(f"{BASE}/state")) == {b"online"}
+
+    def test_a_reply_never_costs_the_connection(self, rig: Rig, subscriber: Subscriber) -> None:
+        """Mosquitto ends one that publishes on a topic with control characters; others may let such a request pass."""
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = f"{BASE}/res/a\nb"
+        for verb, asked in (("status", properties), ("sta\ntus", None), ("explode", properties)):
+            message = MQTTMessage(0, f"{BASE}/req/{verb}".encode())
+            message.payload, message.properties = b"garbage", asked
+            rig.link._on_message(message.topic, message)
+        subscriber.wait_for(f"{BASE}/res/status")
+        subscriber.wait_for(f"{BASE}/res/explode")
+        assert rig.link.counters() | {"replies": 2, "bad_requests": 3, "losses": 0} == rig.link.counters()
+
+    def test_garbage_is_counted_and_answered(self, rig: Rig, subscriber: Subscriber) -> None:
+        for verb, payload in (("status", b"\xff\x00"), ("profile", b'{"transaction": 5}'), ("explode", b"{}")):
+            subscriber.publish(f"{BASE}/req/{verb}", payload)
+            answer = json.loads(subscriber.wait_for(f"{BASE}/res/{verb}")[0])
+            assert answer["ok"] is False
+            assert "expected" in answer["error"]
+        assert json.loads(subscriber.of(f"{BASE}/res/profile")[0])["transaction"] == 5
+        subscriber.publish(f"{BASE}/req/status", bytes(1_000_000))  # the broker never sends us that much
+        subscriber.publish(f"{BASE}/req/status", b"")
+        assert rig.requests.get(timeout=patience(5)) == Request("status")
+        assert rig.requests.empty()
+        assert rig.link.counters() | {"replies": 3, "bad_requests": 3, "requests": 1} == rig.link.counters()
+        assert rig.link.connected
+
+    def test_retained_request_is_not_executed_on_connecting(self, broker: Broker, subscriber: Subscriber) -> None:
+        subscriber.publish(f"{BASE}/req/reference", b"{}", retain=True)
+        subscriber.wait_for(f"{BASE}/req/reference")
+        rig = Rig(broker.port).connect()
+        subscriber.publish(f"{BASE}/req/status", b"{}")
+        assert rig.requests.get(timeout=patience(5)).verb == "status"
+        assert rig.requests.empty()
+        rig.link.stop(2)
+
+    def test_flood_of_requests_to_a_stalled_broker_holds_few_replies(self, rig: Rig, broker: Broker) -> None:
+        broker.stall()
+        for _ in range(1_000):
+            rig.link.reply(Request("status"), bytes(1_000))
+        assert rig.link.counters()["replies"] == 16
+        assert rig.link.counters()["replies_dropped"] == 984
+
+    def test_events_arrive_each_once_and_are_not_retained(
+        self, rig: Rig, broker: Broker, subscriber: Subscriber
+    ) -> None:
+        for k in range(3):
+            rig.link.publish_event("event/slip", b"%d" % k)
+        assert subscriber.wait_for(f"{BASE}/event/slip", 3) == [b"0", b"1", b"2"]
+        with Subscriber(broker.port) as late:
+            rig.link.publish_event("event/slip", b"3")
+            assert late.wait_for(f"{BASE}/event/slip") == [b"3"]
+        assert rig.link.counters() | {"events": 4, "events_dropped": 0} == rig.link.counters()
+
+    def test_events_of_a_broker_that_is_away_are_counted(self, rig: Rig, broker: Broker) -> None:
+        broker.kill()
+        wait_until(lambda: not rig.link.connected, 5, "the loss")
+        rig.link.publish_event("event/slip", b"lost")
+        assert rig.link.counters()["events_dropped"] == 1
+        broker.start()

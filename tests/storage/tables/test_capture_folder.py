@@ -2,15 +2,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.core.calibration.indenters import cylinder
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder, Stated, read_plan, stated
 from tacshade_edge.storage.tables.presses import BALL, MORE, read_presses
 
 IMAGE = np.zeros((16, 16), np.uint8)
-HEADER = "image,indenter,radius_mm,depth_mm,x_mm,y_mm"
+PLAN_HEADER = "image,indenter,radius_mm,depth_mm,x_mm,y_mm"
 
 
 def press(depth_mm: str = "2.5") -> Stated:
@@ -63,9 +65,9 @@ def test_what_cannot_be_a_press_is_refused(columns: tuple[str, ...], said: str) 
 
 def test_a_plan_is_a_table_whose_images_do_not_matter(tmp_path: Path) -> None:
     plan = tmp_path / "PLAN.csv"
-    plan.write_text(f"{HEADER}\n,ball,6,2.5,1,-3\n")
+    plan.write_text(f"{PLAN_HEADER}\n,ball,6,2.5,1,-3\n")
     assert read_plan(plan, (), 20.0) == (press(),)
-    plan.write_text(f"{HEADER},{','.join(MORE)}\n,flat,,2.5,1,-3,30,0,0,0,0\n")
+    plan.write_text(f"{PLAN_HEADER},{','.join(MORE)}\n,flat,,2.5,1,-3,30,0,0,0,0\n")
     (tilted,) = read_plan(plan, ("flat",), 20.0)
     assert str(tilted) == (
         "flat, 2.5 mm deep at x 1, y -3 mm, yaw_deg 30, tilt_x_deg 0, tilt_y_deg 0, shear_x_mm 0, shear_y_mm 0"
@@ -74,7 +76,7 @@ def test_a_plan_is_a_table_whose_images_do_not_matter(tmp_path: Path) -> None:
     both = [folder.add([], IMAGE, press())]
     both.append(folder.add(both, IMAGE, tilted))
     assert [one.stated.columns[5:] for one in folder.taken()] == [(), ("30", "0", "0", "0", "0")]
-    plan.write_text(f"{HEADER}\n")
+    plan.write_text(f"{PLAN_HEADER}\n")
     with pytest.raises(ConfigError, match="found no press"):
         read_plan(plan, (), 20.0)
 
@@ -91,3 +93,114 @@ def test_a_folder_that_cannot_be_made_is_a_device_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DeviceError, match="cannot write it"):
         CaptureFolder(tmp_path / "file" / "out").make()
+
+
+HEADER = "image,indenter,radius_mm,depth_mm,x_mm,y_mm\n"
+GOOD = "a.png,ball,4.5,2,1.5,-3\n"
+
+
+def table(folder: Path, text: str | bytes) -> Path:
+    cv2.imwrite(str(folder / "a.png"), np.full((6, 8), 9, np.uint8))
+    path = folder / "PRESSES.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_rows_become_presses(tmp_path: Path) -> None:
+    (first, second), notes = read_presses(table(tmp_path, HEADER + GOOD + "\n" + "a.png,ball,4.5,2e0,,\n"))
+    assert notes == ()
+    assert (first.radius_mm, first.depth_mm, first.x_mm, first.y_mm) == (4.5, 2.0, 1.5, -3.0)
+    assert (second.x_mm, second.y_mm) == (None, None)
+    assert first.image.shape == (6, 8)
+    assert first.name == f"{tmp_path}/PRESSES.csv:2: a.png"
+    assert second.name.startswith(f"{tmp_path}/PRESSES.csv:4:")
+
+
+def numbers(text: str | bytes, folder: Path) -> list[tuple[float | None, ...]]:
+    return [(p.radius_mm, p.depth_mm, p.x_mm, p.y_mm) for p in read_presses(table(folder, text))[0]]
+
+
+def test_a_table_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
+    plain = HEADER + GOOD
+    wanted = numbers(plain, tmp_path)
+    german = plain.replace(",", ";").replace("4.5", "4,5").replace("1.5", "1,5")
+    for text in (plain, german, german.replace(";", "\t"), german + ";;;;;\n"):
+        rows = text.replace("\n", "\r\n")
+        for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+            assert numbers(rows.encode(encoding), tmp_path) == wanted
+    with pytest.raises(ConfigError, match=":2: radius_mm: found '4,5', expected a number"):
+        read_presses(table(tmp_path, HEADER + 'a.png,ball,"4,5",2,,\n'))
+
+
+def test_columns_in_any_order_and_unknown_ones(tmp_path: Path) -> None:
+    text = "who,y_mm,x_mm,shear_x_mm,image,depth_mm,radius_mm,indenter,force_n\nme,-3,1.5,0.7,a.png,2,4.5,ball,9\n"
+    assert numbers(text, tmp_path) == [(4.5, 2.0, 1.5, -3.0)]
+    (note,) = read_presses(table(tmp_path, text))[1]
+    assert note.endswith("PRESSES.csv: ignoring unknown columns: who, force_n")
+
+
+def test_a_named_indenter(tmp_path: Path) -> None:
+    flat = cylinder("flat", 4.0)
+    header = HEADER.strip() + ",yaw_deg,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\n"
+    rows = "a.png,flat,,2,1.5,-3,30,-4,5.5,1,\na.png,small,,2,,,,,,,\n"
+    (solid, small), _ = read_presses(table(tmp_path, header + rows), {"flat": flat, "small": 3.0})
+    assert solid.indenter is flat
+    assert (solid.yaw_deg, solid.tilt_x_deg, solid.tilt_y_deg) == (30.0, -4.0, 5.5)
+    assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
+    for row, said in {
+        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": (
+            "radius_mm: found '4', expected nothing, because INDENTERS.yaml states the radius"
+        ),
+        "a.png,flat,,2,,,0,0,0,0,0": (
+            "x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
+        ),
+        "a.png,cube,,2,0,0,0,0,0,0,0": (
+            "indenter: found 'cube', expected ball or an indenter from INDENTERS.yaml: flat, small"
+        ),
+        "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
+        "a.png,flat,,2,0,0,x,0,0,0,0": "yaw_deg: found 'x', expected a number",
+        "a.png,flat,,2,0,0,0,0,0,nan,0": "shear_x_mm: found 'nan', expected a number",
+    }.items():
+        with pytest.raises(ConfigError, match=":2: ") as refusal:
+            read_presses(table(tmp_path, header + row + "\n"), {"flat": flat, "small": 3.0})
+        assert str(refusal.value).endswith(f"PRESSES.csv:2: {said}")
+
+
+def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
+    assert read_presses(table(tmp_path, HEADER)) == ([], ())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
+        (GOOD, r":1: found the header a\.png"),
+        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*; the header lacks y_mm"),
+        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns with this name, expected one"),
+        (HEADER + "a.png,ball,4.5,2\n", ":2: found 4 columns, expected 6"),
+        (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
+        (HEADER + "a.png,cube,4.5,2,,\n", ":2: indenter: found 'cube', expected ball"),
+        (HEADER + "a.png,ball,big,2,,\n", ":2: radius_mm: found 'big', expected a number"),
+        (HEADER + "a.png,ball,4.5,,,\n", ":2: depth_mm: found '', expected a number"),
+        (HEADER + "a.png,ball,4.5,nan,,\n", ":2: depth_mm: found 'nan', expected a number"),
+        (HEADER + "a.png,ball,4.5,inf,,\n", ":2: depth_mm: found 'inf', expected a number"),
+        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found only one value, expected both or neither"),
+        (HEADER + "none.png,ball,4.5,2,,\n", r":2: image: .*none\.png: No such file"),
+        (HEADER + "PRESSES.csv,ball,4.5,2,,\n", ":2: image: .*not an image"),
+        (HEADER + ",ball,4.5,2,,\n", ":2: image: "),
+        (HEADER.encode() + b"\xff\xfe\n", "not a CSV file"),
+        (HEADER + '"a.png,ball\n', "not a CSV file"),
+        (HEADER.encode() + b"a\0.png,ball,4.5,2,,\n", ":2: image: .*embedded null"),
+    ],
+)
+def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, text: str | bytes, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read_presses(table(tmp_path, text))
+    assert "\n" not in str(refusal.value)
+    assert "PRESSES.csv" in str(refusal.value)
+
+
+def test_no_table(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(ConfigError, match="expected a CSV file of presses"):
+            read_presses(path)

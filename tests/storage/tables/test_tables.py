@@ -6,7 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.core.calibration.indenters import Indenter
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.tables.capture_folder import read_plan
+from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
+from tacshade_edge.storage.tables.labels import read_labels
+from tacshade_edge.storage.tables.pressed_file import HEADER, PressedFile
 from tacshade_edge.storage.tables.tables import number, read_columns, read_rows
 
 
@@ -95,3 +100,158 @@ def test_a_table_as_spreadsheets_and_people_write_it(tmp_path: Path, text: str) 
     ((where, row),) = [(where, table.with_points(row, ("b",))) for where, row in table.rows]
     assert (row, table.unknown) == ({"a": "1.5", "b": "two"}, ())
     assert where == f"{path}:{3 if 'sep' in text else 2}"
+
+
+LABELS_HEADER = "image,depth_mm,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\n"
+
+
+def table(folder: Path, text: str) -> Path:
+    path = folder / "labels.csv"
+    path.write_text(text)
+    return path
+
+
+def test_cells_may_be_empty(tmp_path: Path) -> None:
+    one, two = read_labels(table(tmp_path, LABELS_HEADER + "a.png,1.5,,,-0.25,2\nb.png,,,,,\n"), tmp_path / "images")
+    assert one.path == tmp_path / "images" / "a.png"
+    assert one.known == {"depth_mm": 1.5, "shear_x_mm": -0.25, "shear_y_mm": 2.0}
+    assert two.known == {}
+
+
+def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> None:
+    (one,) = read_labels(table(tmp_path, "group;force_z_n;image\np1;-2,5;a.png\n"), tmp_path)
+    assert one.known == {"force_z_n": -2.5}
+    assert (one.group, one.where) == ("p1", f"{tmp_path}/labels.csv:2")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"labels.csv:1: found no header, expected image"),
+        ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
+        ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected at least one of depth_mm"),
+        (LABELS_HEADER, "found no rows, expected one per image"),
+        (LABELS_HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
+        (LABELS_HEADER + "a.png,nan,,,,\n", r"labels.csv:2: depth_mm: found 'nan', expected a number"),
+        (LABELS_HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),
+        (LABELS_HEADER + "a.png,1\n", r"labels.csv:2: found 2 columns, expected 6"),
+    ],
+)
+def test_a_mistake_is_told_with_its_place(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read_labels(table(tmp_path, text), tmp_path)
+
+
+def replace(path: Path, *rows: str) -> None:
+    beside = path.with_suffix(".part")
+    beside.write_text("\n".join((",".join(HEADER), *rows)) + "\n")
+    os.replace(beside, path)
+
+
+def test_it_is_what_the_file_says_now(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    script = PressedFile(path)
+    assert script.at(0) == ()
+    replace(path, "ball,6,2.5,1,-3", "cube,,1,0,0")
+    first, second = script.at(1)
+    assert (first.shape.name, first.depth_mm, first.x_mm, first.y_mm) == ("ball", 2.5, 1.0, -3.0)
+    assert second.shape.name == "cube"
+    assert script.at(2) == (first, second)
+    replace(path)
+    assert script.at(3) == ()
+
+
+def test_an_object_may_be_turned(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n")
+    cube, ball = PressedFile(path).at(0)
+    assert (cube.rotation_deg, ball.rotation_deg) == (30, 0)
+
+
+@pytest.mark.parametrize("row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"])
+def test_what_cannot_be_understood_is_told_once(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "hand.csv"
+    script = PressedFile(path)
+    replace(path, row)
+    with pytest.raises(DecodeError):
+        script.at(0)
+    assert script.at(1) == ()
+
+
+STL = "solid\nfacet\nvertex 0 0 3\nvertex 4 0 3\nvertex 0 4 5\nendfacet\nendsolid\n"
+ALL = """
+small: {shape: ball, radius_mm: 3}
+flat: {shape: cylinder, radius_mm: 4, length_mm: 20}
+square:
+  shape: box
+  length_mm: 6
+  width_mm: 5.5
+rod: {shape: bar, radius_mm: 2, length_mm: 14}
+tip: {shape: cone, angle_deg: 90}
+own: {shape: mesh, file: own.stl}
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "own.stl").write_text(STL)
+    path = folder / "INDENTERS.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_every_shape(tmp_path: Path) -> None:
+    found = read_indenters(written(tmp_path, ALL))
+    assert list(found) == ["small", "flat", "square", "rod", "tip", "own"]
+    assert found["small"] == 3.0
+    for name in list(found)[1:]:
+        indenter = found[name]
+        assert isinstance(indenter, Indenter)
+        assert indenter.name == name
+        assert indenter.triangles_mm[..., 2].min() == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- a\n", ":1: found a list, expected indenter names"),
+        ("a: ball\n", ":1: a: found ball, expected a mapping"),
+        ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
+        ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),
+        ("a:\n  radius_mm: 3\n", "a.shape: found nothing, expected one of ball"),
+        ("a: {shape: cylinder}\n", ":1: a.radius_mm: found nothing, expected a value for shape cylinder"),
+        ("a: {shape: box, length_mm: 3}\n", ":1: a.width_mm: found nothing, expected a value for shape box"),
+        ("a: {shape: bar, radius_mm: 3}\n", ":1: a.length_mm: found nothing, expected a value for shape bar"),
+        ("a: {shape: cone, radius_mm: 3}\n", ":1: a.angle_deg: found nothing, expected a value for shape cone"),
+        ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected a value for shape mesh"),
+        ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
+        ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
+        (
+            "ball: {shape: ball, radius_mm: 3}\n",
+            ":1: ball: found an entry, expected none, because this name is built in",
+        ),
+        ("a: {shape: mesh, file: none.stl}\n", r":1: a.file: .*none.stl: No such file"),
+        ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* neither an ASCII nor a binary STL file"),
+    ],
+)
+def test_a_wrong_file_is_told_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read_indenters(written(tmp_path, text))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "own: {shape: mesh, file: own.stl}\n")
+    (tmp_path / "own.stl").write_text(STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005"))
+    with pytest.raises(ConfigError, match=r":1: own\.file: .*a largest dimension of 0.004 mm, expected 0.5 to 500 mm"):
+        read_indenters(path)
+
+
+def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -> None:
+    written = write_printables(tmp_path / "print")
+    *solids, table, plan = written
+    known = read_indenters(table)
+    assert [f"{name}.stl" for name in known] == [path.name for path in solids]
+    assert known["ball_6"] == 6.0
+    assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists; this command does not replace"):
+        write_printables(tmp_path / "print")

@@ -1,5 +1,8 @@
+"""The log, the progress and what a study lacks."""
+
 from __future__ import annotations
 
+import argparse
 import io
 import logging
 import os
@@ -8,10 +11,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.logs import AT_ONCE, PERIOD_S, Limit, OneLineHandler
+from tacshade_edge.cli.shared.progress import Progress, duration
+from tacshade_edge.studies.evaluate.picture import PACKAGES
 
 Written = tuple[logging.Logger, OneLineHandler, io.StringIO]
 
@@ -118,3 +125,80 @@ def test_the_journal_gets_no_second_time_stamp_and_a_word_more_or_less() -> None
         assert re.fullmatch(f"{stamp} {said}", line)
     assert [line.split()[0] for line in logged("-v", journal=True)] == ["DEBUG", "INFO", "WARNING"]
     assert [line.split()[0] for line in logged("-q", journal=True)] == ["WARNING"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+class Clock:
+    now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def counted(stream: io.StringIO, total: int | None = 30) -> str:
+    """What is written of thirty images that take 1 s each."""
+    clock = Clock()
+    progress = Progress(stream, clock)
+    for done in range(31):
+        progress("images", done, total)
+        clock.now_s += 1
+    progress.end()
+    return stream.getvalue()
+
+
+def test_in_a_pipe_it_is_a_line_every_ten_seconds() -> None:
+    lines = ["images: 10/30, 20 s left", "images: 20/30, 10 s left", "images: 30/30"]
+    assert counted(io.StringIO()).splitlines() == lines
+    assert counted(io.StringIO(), None).splitlines() == ["images: 10", "images: 20", "images: 30"]
+
+
+def test_on_a_terminal_it_is_one_line_that_renews_itself() -> None:
+    written = counted(Terminal())
+    assert written.count("\n") == 1
+    assert written.endswith("images: 29/30, 1 s left\r\033[Kimages: 30/30\n")
+
+
+def test_what_is_short_says_nothing_in_a_pipe() -> None:
+    stream, clock = io.StringIO(), Clock()
+    progress = Progress(stream, clock)
+    for what in ("images", "profiles"):
+        for done in range(3):
+            progress(what, done, 2)
+            clock.now_s += 4
+    assert stream.getvalue() == ""
+
+
+def test_a_message_stands_on_a_line_of_its_own() -> None:
+    for stream, said in ((Terminal(), "\r\033[Ktacshade-edge: a.png: cut\n"), (io.StringIO(), "a.png: cut\n")):
+        progress = Progress(stream, Clock())
+        progress("images", 1, 2)
+        progress.warn("a.png: cut")
+        progress.end()
+        assert stream.getvalue().endswith(said)
+        assert "\n\n" not in stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0 s"), (89, "89 s"), (90, "2 min"), (3599, "1 h 0 min"), (7500, "2 h 5 min")]
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_without_a_package_the_pictures_are_missing_and_a_line_says_so(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    args = argparse.Namespace(out=tmp_path)
+    assert study.will_draw(args, "figure6.png", PACKAGES)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setitem(sys.modules, package, None)
+    assert not study.will_draw(args, "figure6.png", PACKAGES)
+    install = "pip install '.[studies]' in the clone"
+    assert capsys.readouterr().err == f"tacshade-edge: figure6.png will be missing without {package}: {install}\n"
+    assert not study.will_draw(argparse.Namespace(out=None), "figure6.png", PACKAGES)
+    assert capsys.readouterr().err == ""
