@@ -70,8 +70,8 @@ def wait_until(
 ) -> None:
     """Poll until the condition holds; AssertionError when it does not within `margin` times the limit, stretched.
 
-    A condition that takes long to look at, such as what a browser shows, is looked at a third of the time: what it waits
-    for needs the cores too.
+    A condition that takes long to look at, such as what a browser shows, is looked at a third of the time: what it
+    waits for needs the cores too.
     """
     began_s = asked_s = time.monotonic()
     limit_s = timeout_s
