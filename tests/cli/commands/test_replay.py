@@ -1,4 +1,4 @@
-"""``tacshade-edge replay``, and 200 simulated frames against tests/golden/replay.json (tests/support/golden_replay.py)."""
+"""``tacshade-edge replay``, and 200 simulated frames against tests/golden/replay.json (support/golden_replay.py)."""
 
 from __future__ import annotations
 
