@@ -109,7 +109,11 @@ PAGES = {
         own=("tools/examples/servo",),
     ),
     "touch": Page(
-        {"": "tools.studies.touch out/real/tactile_data_shear"},
+        {
+            "": "tools.studies.touch plates out/real/tactile_data_shear",
+            "Measured forces": "tools.studies.touch force out/real/tactile-manibot --profile accurate"
+            " --labels 1600 400 100",
+        },
         r"^(learning, s|split)$|^(Mean absolute|Published: )|^balanced \| (100|40) | \| random ",
     ),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
