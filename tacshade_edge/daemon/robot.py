@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from functools import lru_cache
+from typing import Any, Final
 
 from tacshade_edge.daemon.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult
 from tacshade_edge.daemon.serial_line import SILENT_NS, RobotMotion, SerialChannel, SerialCommands, TouchEvents
@@ -20,6 +21,7 @@ from tacshade_edge.types import Frame, Need
 
 # How long a frame waits for the pose after it: enough if the robot sends ten a second.
 POSE_WAIT_NS = 120_000_000
+_POSES_KEPT: Final = 1024
 LATENCY_MAX_MS = 1
 
 
@@ -53,6 +55,8 @@ class Robot(FrameObserver):
         self._published = b""
         self._stopped = threading.Event()
         self._with_pose = self._without_pose = 0
+        self._first_answer = threading.Lock()
+        self._answer_at = lru_cache(_POSES_KEPT)(lambda t_ns: self.motion.at(t_ns))
         # A daemon thread: a port that hangs must not keep the process.
         self._thread = threading.Thread(target=self._channel.run, name="serial", daemon=True)
 
@@ -103,10 +107,17 @@ class Robot(FrameObserver):
         return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
-        """Wait for the pose after the frame, and add the pose interpolated between it and the one before."""
+        """Wait for the pose after the frame, and add the pose interpolated between it and the one before, if known.
+
+        The first answer for a frame counts: later poses and clock readings would place its press in a session and in
+        the recording differently.
+        """
         self._stopped.wait(max(0, frame.t_ns + POSE_WAIT_NS - time.monotonic_ns()) / 1e9)
-        known = self.motion.at(frame.t_ns)
-        return frame if known is None else replace(frame, pose=known[0], pose_error_us=known[1])
+        with self._first_answer:
+            known = self._answer_at(frame.t_ns)
+        if known is None:  # `with_pose` may have known one before the robot restarted
+            return replace(frame, pose=None, pose_error_us=0) if self._with_pose else frame
+        return replace(frame, pose=known[0], pose_error_us=known[1])
 
     def knows_pose(self) -> bool:
         """Whether a frame taken now would get a pose, once the pose after it has come."""

@@ -220,7 +220,7 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     assert main([*words, "--recording", str(folder), "--out", str(tmp_path / "offline")]) == 0
     live, offline = Path(final["folder"]), tmp_path / "offline"
     assert live == tmp_path / "maps" / "1"
-    # If a pose came too late for a press, the live map misses it and says so; the recording has waited for the pose.
+    # On a starved machine the session passes over frames of the recording, and may miss a press that this has.
     for name in () if missed else ("map.ply", "map.png", "map.npz", "preview.png"):
         assert (live / name).read_bytes() == (offline / name).read_bytes(), name
     _, added = StitchFile.resume(live)

@@ -11,21 +11,27 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster, StitchedMap, Stitcher
 from tacshade_edge.daemon import session as map_publisher
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
+from tacshade_edge.daemon.robot import Robot as SerialRobot
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session, thinned_points
 from tacshade_edge.daemon.session_worker import SessionRequests, SessionWorker
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.requests import Request, encode_reply
 from tacshade_edge.protocol.results import (
     NoSession,
@@ -39,6 +45,7 @@ from tacshade_edge.protocol.results import (
 from tacshade_edge.protocol.wire import CloudMessage, decode
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.stitching.stitch_file import StitchFile, open_session
+from tacshade_edge.studies.stitch.presses import read_recording
 from tacshade_edge.types import Frame, Need, Pose, Reconstruction
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.painted_sensor import painted_calibration
@@ -226,9 +233,11 @@ Outcome = SessionResult | Reason
 class Robot:
     """Sends commands, shows frames, waits for answers."""
 
-    def __init__(self, folder: Path, *, automatic: bool = False) -> None:
+    def __init__(
+        self, folder: Path, *, automatic: bool = False, with_pose: Callable[[Frame], Frame] = lambda frame: frame
+    ) -> None:
         self.maps: list[MapRevision] = []
-        self.worker = SessionWorker(folder, "left", self.maps.append, automatic=automatic)
+        self.worker = SessionWorker(folder, "left", self.maps.append, with_pose, automatic=automatic)
         self.thread = threading.Thread(target=self.worker.run)
         self.thread.start()
         self.seq = 0
@@ -469,22 +478,53 @@ def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path
 
 
 def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
-    maps: list[MapRevision] = []
-
     def with_pose(frame: Frame) -> Frame:
         assert frame.image.size == 0  # what waits here must not keep images
         return replace(frame, pose=Pose(frame.t_ns, 50.0, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
 
-    robot = Robot(tmp_path)
-    robot.end()
-    robot.worker = SessionWorker(tmp_path, "left", maps.append, with_pose)
-    robot.thread = threading.Thread(target=robot.worker.run)
-    robot.thread.start()
+    robot = Robot(tmp_path, with_pose=with_pose)
     robot.show(ball)
     robot.ask("BEGIN")
     assert code(robot.add(ball, pose=False)) is None
     robot.end()
-    assert maps[-1].raster().x0_mm > 30
+    assert robot.maps[-1].raster().x0_mm > 30
+
+
+def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever thread asks for a frame's pose first, and however the robot's clock and poses change meanwhile."""
+    line = SerialRobot(SerialPort("/dev/none", 115200), *[lambda *_: {}] * 3, missing=lambda: None)
+    asked: Counter[int] = Counter()
+
+    def at(t_ns: int) -> tuple[Pose, int] | None:
+        asked[t_ns] += 1
+        unknown = (t_ns // 20_000_000 + asked[t_ns]) % 2
+        return None if unknown else (Pose(t_ns, asked[t_ns], 0, 20, 0, 1, 0, 0), 100)
+
+    monkeypatch.setattr(line.motion, "at", at)
+    robot = Robot(tmp_path, automatic=True, with_pose=line.with_interpolated_pose)
+    images = [
+        unloaded(),
+        *[picture for k in range(6) for picture in [pressed("ball", 2 + k % 2).image] * 20 + [unloaded()]],
+    ]
+    frames = [Frame(k, 1 + k * 20_000_000, 0, image) for k, image in enumerate(images)]
+    recorded = [line.with_interpolated_pose(frame) for frame in frames[: len(frames) // 2]]
+    reconstructor = make_reconstructor(calibrated(), PROFILES["fast"])
+    for frame in frames:
+        robot.worker.observe(line.with_pose(frame), reconstructor.step(frame), calibrated())
+        if frame.seq == 0:
+            robot.ask("BEGIN", "pad")
+    missed = status(robot).missed
+    robot.end()
+    recorded += [line.with_interpolated_pose(frame) for frame in frames[len(recorded) :]]
+    played = (SimpleNamespace(name="", frame=frame) for frame in recorded)
+    read: Any = SimpleNamespace(read=lambda: next(played, None))
+    presses = [press for press in read_recording(calibrated(), PROFILES["fast"], read, "") if not press.skipped]
+    _, added = StitchFile.resume(tmp_path / "pad")
+    assert (len(added), missed) == (len(presses), 6 - len(presses))
+    assert 0 < missed < 6
+    for (points, base_T_sensor), press in zip(added, presses, strict=True):
+        np.testing.assert_array_equal(points.points_mm, press.points.points_mm)
+        assert base_T_sensor.seven() == press.base_T_sensor.seven()
 
 
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:

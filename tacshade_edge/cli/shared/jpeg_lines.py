@@ -14,7 +14,9 @@ from typing import Any
 
 _log = logging.getLogger(__name__)
 
-_LINE_BUFFERED = 1  # _IOLBF
+_UNBUFFERED = 2  # _IONBF
+_FILENO_AT = 14 * ctypes.sizeof(ctypes.c_void_p)
+"""Offset of `_fileno` in glibc's ``struct _IO_FILE``: Python's fatal errors are written to C's ``fileno(stderr)``."""
 
 
 def _write(_cookie: int | None, data: int, size: int) -> int:
@@ -48,13 +50,18 @@ def log_jpeg_lines() -> None:
     libc.fopencookie.restype = ctypes.c_void_p
     libc.fopencookie.argtypes = (ctypes.c_void_p, ctypes.c_char_p, _Functions)
     libc.setvbuf.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t)
-    stream = libc.fopencookie(None, b"w", _Functions(None, _write_from_c, None, None))
-    if stream:
-        libc.setvbuf(stream, None, _LINE_BUFFERED, 0)
-        current = ctypes.c_void_p.in_dll(libc, "stderr")
-        atexit.register(setattr, current, "value", current.value)  # nothing may call Python after its end
-        current.value = stream
-        _stream.append(stream)
+    libc.fileno.argtypes = (ctypes.c_void_p,)
+    stream, current = (
+        libc.fopencookie(None, b"w", _Functions(None, _write_from_c, None, None)),
+        ctypes.c_void_p.in_dll(libc, "stderr"),
+    )
+    if not stream or ctypes.c_int.from_address(current.value + _FILENO_AT).value != libc.fileno(current):
+        return
+    libc.setvbuf(stream, None, _UNBUFFERED, 0)
+    ctypes.c_int.from_address(stream + _FILENO_AT).value = libc.fileno(current)
+    atexit.register(setattr, current, "value", current.value)  # nothing may call Python after its end
+    current.value = stream
+    _stream.append(stream)
 
 
 def _is_glibc() -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import ctypes, logging
 import cv2, numpy as np
@@ -26,3 +28,28 @@ def test_a_camera_that_damages_every_picture_does_not_flood_the_log() -> None:
     assert 1 <= sum("libjpeg: Corrupt JPEG data" in line for line in lines) < 20, lines[:5]
     assert "left out" in done.stderr
     assert "from another library" in lines
+
+
+@pytest.mark.parametrize(
+    ("crash", "says"),
+    [
+        ("faulthandler.enable(); ctypes.string_at(0)", "Fatal Python error: Segmentation fault"),
+        ("ctypes.pythonapi.Py_FatalError(b'an invariant')", "an invariant"),
+        ("libc.__assert_fail(b'an invariant', b'file.c', 1, b'f')", "Assertion `an invariant' failed"),
+        ("libc.fputs(b'an invariant', stderr); libc.abort()", "an invariant"),
+        ("print(libc.fileno(stderr), file=sys.stderr); os.abort()", "2\n"),
+    ],
+)
+def test_a_crash_still_prints_why(crash: str, says: str) -> None:
+    program = (
+        PROGRAM.partition("data =")[0]
+        + f"""
+import faulthandler, os, sys
+libc = ctypes.CDLL(None)
+stderr = ctypes.c_void_p.in_dll(libc, "stderr")
+{crash}
+"""
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode < 0
+    assert says in done.stderr
