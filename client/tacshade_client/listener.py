@@ -43,6 +43,7 @@ SILENT_S = 5.0
 """Silence from the start after which the sensors that are there are asked for: a name may be misspelt."""
 _STATES: Final = "tacshade/+/state"
 _STATES_S: Final = 1.0
+_THERE_MAX: Final = 64
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
 
 
@@ -192,9 +193,7 @@ class Listener(Iterator[Message]):
             try:
                 return decode_message(topic, payload, retained=retained)
             except DecodeError as error:
-                with self._came:
-                    self.refused += 1
-                self._log_refused(error)
+                self._refuse(error)
 
     def _wait(self, end_s: float | None) -> None:
         """Wait for a message or the end. Lock held."""
@@ -217,6 +216,9 @@ class Listener(Iterator[Message]):
         there = ", ".join(f"{name} ({state})" for name, state in sorted(self._there.items())) or "no sensors"
         topics = ", ".join(sorted(self._topics))
         _log.warning("%s: no message on %s so far; there are %s", self._where, topics, there)
+        self._there = None
+        if _STATES not in self._topics:
+            self._client.unsubscribe(_STATES)
 
     def follow(self, topics: Collection[str]) -> None:
         """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
@@ -269,8 +271,10 @@ class Listener(Iterator[Message]):
         else:
             self._subscribed = True
 
-    def _log_refused(self, error: DecodeError) -> None:
+    def _refuse(self, error: DecodeError) -> None:
         now_s = time.monotonic()
+        with self._came:
+            self.refused += 1
         if now_s >= self._next_line_s:
             self._next_line_s = now_s + _LOG_PERIOD_S
             _log.warning("%s: %s (%d messages rejected so far)", self._where, error, self.refused)
@@ -322,16 +326,13 @@ class Listener(Iterator[Message]):
             self._came.notify_all()
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        try:
-            topic = message.topic
-        except UnicodeDecodeError:  # paho decodes it only now
-            with self._came:
-                self.refused += 1
-            self._log_refused(DecodeError("found a topic that is not UTF-8"))
+        topic = message._topic.decode(errors="replace")  # `topic` raises if it is not UTF-8
+        if "\ufffd" in topic or not topic.startswith("tacshade/"):
+            self._refuse(DecodeError(f"found the topic {quoted(topic)}, expected one of a sensor or hand"))
             return
-        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # a state that `_wait` asked for
+        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # unsubscribed, or for `_wait`
             with self._came:
-                if self._there is not None:
+                if self._there is not None and len(self._there) < _THERE_MAX:
                     name, state = topic.split("/")[1], message.payload[:20].decode(errors="replace")
                     self._there[quoted(name)[1:-1]] = quoted(state)[1:-1]
             return

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from lerobot.cameras.camera import Camera
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
-from tacshade_client import ConfigError, DecodeError, DeviceError, Info, Listener, listen
+from tacshade_client import ConfigError, DeviceError, Info, Listener, listen
 
 from .colours import U8
 from .config import SIZE_PX, TacShadeCameraConfig
@@ -75,9 +75,9 @@ class TacShadeCamera(Camera):
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
         config = self.config
         password = None
-        if config.password_file is not None:
-            password = Path(config.password_file).read_text(encoding="utf-8").partition("\n")[0]
         try:
+            if config.password_file is not None:
+                password = Path(config.password_file).read_text(encoding="utf-8").partition("\n")[0]
             self._listener = listen(
                 config.broker,
                 config.sensor,
@@ -86,7 +86,7 @@ class TacShadeCamera(Camera):
                 password=password,
                 ca_file=config.ca_file,
             )
-        except (ConfigError, DeviceError) as error:
+        except (ConfigError, DeviceError, OSError, UnicodeDecodeError) as error:
             raise ConnectionError(f"{self}: {error}") from error
         self._latest, self._fresh, self._crash = None, False, None
         self._thread = threading.Thread(target=self._receive, args=(self._listener,), name="tacshade", daemon=True)
@@ -176,11 +176,7 @@ class TacShadeCamera(Camera):
     def _show(self, listener: Listener) -> None:
         pictures = Pictures(self.width or SIZE_PX)
         for message in listener:
-            try:
-                picture = pictures.add(message)
-            except DecodeError:
-                continue  # the frame's messages do not match: no picture
-            if picture is not None:
+            if (picture := pictures.add(message)) is not None:
                 picture.setflags(write=False)
                 with self._came:
                     self._latest, self._latest_s, self._fresh = picture, time.monotonic(), True

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from tacshade_client import Contact, DecodeError, HeightMessage, Info, InfoGeometry, Message, ShearMessage
+from tacshade_client import Contact, HeightMessage, Info, InfoGeometry, Message, ShearMessage
 
 from .colours import F32, U8, to_rgb
 
@@ -28,7 +28,7 @@ class Pictures:
     Attributes
     ----------
     passed_over : int
-        Number of frames with a missing message, or that the sensor could not use.
+        Number of frames with a missing or mismatched message, or that the sensor could not use.
     """
 
     def __init__(self, size_px: int) -> None:
@@ -66,7 +66,7 @@ class Pictures:
         shear_mm = None
         if shear is not None and shear.seq == seq:
             if shear.shear_mm.shape[:2] != height.height_mm.shape:
-                raise DecodeError("shear: found another grid than the height of its frame has")
+                return None
             shear_mm = shear.shear_mm[cells]
         height_mm = np.where(np.isnan(_untouched(geometry, self._size_px)), np.float32(np.nan), height.height_mm[cells])
         return to_rgb(height_mm, shear_mm)

@@ -18,6 +18,7 @@ from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
 from tacshade_edge.protocol.topics import (
     ALIVE,
@@ -58,6 +59,7 @@ _TOPICS: Final[dict[str, tuple[str, ...]]] = {
 
 
 _HEALTH_SCHEMA: Final = {"title": "tacshade.Health", "type": "object"}
+_BRIDGE_SCHEMA: Final = {"title": "tacshade.Bridge", "type": "object"}
 
 
 class _Sensor:
@@ -221,6 +223,8 @@ class FoxgloveBridge:
                 f"--listen {host}:{port}: {reason}, expected a free port on one of this machine's addresses"
             ) from None
         self.port = self._viewers.port
+        self._counts = b""
+        (self._own,) = self._viewers.advertise([Channel("/tacshade/bridge", _BRIDGE_SCHEMA, 1)])
 
     def stop(self) -> None:
         """Close the viewers' connections."""
@@ -228,10 +232,13 @@ class FoxgloveBridge:
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         """Process a message from the broker."""
-        if not (found := _TOPIC.fullmatch(topic)) or not payload:
+        if not payload:
             return
-        sensor_id, rest = found.groups()
         with self._lock:
+            if not (found := _TOPIC.fullmatch(topic)):
+                self._refusals.add("unknown_topic", topic, "ignoring this topic, which is no sensor's")
+                return
+            sensor_id, rest = found.groups()
             try:
                 match rest:
                     case "info":
@@ -245,7 +252,12 @@ class FoxgloveBridge:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def poll(self) -> None:
-        """Subscribe to what the viewers now watch; call this ten times a second."""
+        """Subscribe to what the viewers now watch, and send them the counts; call this ten times a second."""
+        with self._lock:
+            counts = encode_json({**self._refusals.counts, "passed_over": self._viewers.passed_over})
+        if self._changed.is_set() or counts != self._counts:
+            self._counts = counts
+            self._viewers.send(self._own, counts)
         if not self._changed.is_set():
             return
         self._changed.clear()

@@ -51,10 +51,11 @@ class SensorMetrics:
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
         """Process a message from the broker. A retained `health` may be old: it only shows that the sensor has one."""
-        if not (found := _TOPIC.fullmatch(topic)):
-            return
-        sensor_id, name = found.groups()
         with self._lock:
+            if not (found := _TOPIC.fullmatch(topic)):
+                self._refusals.add("unknown_topic", topic, "ignoring this topic, which is no sensor's")
+                return
+            sensor_id, name = found.groups()
             try:
                 if name == "state":
                     self._hear_state(sensor_id, payload)

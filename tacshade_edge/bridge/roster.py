@@ -15,6 +15,7 @@ SENSORS_MAX: Final = 256
 _SAID_MAX: Final = 256
 _LINE_S: Final = 1.0
 _CHARS_MAX: Final = 300
+_ID_CHARS_MAX: Final = 100
 
 T = TypeVar("T")
 
@@ -69,11 +70,12 @@ class Refusals:
         self._said: dict[str, str] = {}
         self._reported_s = float("-inf")
         self._unreported = 0
-        self.counts: Counter[str] = Counter(undecodable=0, no_room=0)
+        self.counts: Counter[str] = Counter(undecodable=0, no_room=0, unknown_topic=0)
 
     def add(self, why: str, sensor_id: str, text: str) -> None:
-        """Count a refusal; `why` is a key of `counts`."""
+        """Count a refusal; `why` is a key of `counts`. `sensor_id` may be any text."""
         self.counts[why] += 1
+        sensor_id = escaped(sensor_id, _ID_CHARS_MAX)
         if self._said.get(sensor_id) == text:
             return
         if self._clock_s() - self._reported_s < _LINE_S:

@@ -12,7 +12,6 @@ import numpy as np
 from tacshade_edge.daemon.ledger import Counts, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.protocol.messages import encode_status
@@ -230,12 +229,8 @@ class HomeAssistant:
         self._link.set_retained(STATUS, encode_status(ANNOUNCED))
 
     def _withdraw(self, status: bytes) -> None:
-        """Withdraw what an earlier run announced, according to its status."""
-        try:
-            state = decode_status(STATUS, status).state
-        except DecodeError:
-            return
-        if state == ANNOUNCED:
+        """Withdraw what an earlier run announced, according to its status. Raises DecodeError."""
+        if decode_status(STATUS, status).state == ANNOUNCED:
             for topic in discovery_topics(self._sensor_id):
                 self._link.set_retained(f"/{topic}", b"")
             self._link.set_retained(STATUS, encode_status(WITHDRAWN))

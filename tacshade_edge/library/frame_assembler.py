@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 from dataclasses import dataclass
 from typing import Final
@@ -25,6 +24,7 @@ from tacshade_edge.protocol.topics import (
     decode_touch,
 )
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
+from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, Touch, TouchedObject
 
@@ -67,18 +67,19 @@ class FrameAssembler:
         return self._newest is not None
 
     def add(self, topic: str, payload: bytes) -> None:
-        """Take a message; ignore one that cannot be decoded."""
-        with contextlib.suppress(DecodeError):
-            if topic in _STREAMS:
-                self._latest[topic] = payload
-            elif topic == "touch":
-                self._touch = decode_touch(payload)
-            elif topic == "state":
-                self.state = decode_state(payload)
-            elif topic == "info":
-                self.info = decode_info(payload)
-            elif topic == "contact":
-                self._add(decode_contact(payload))
+        """Take a message. Raises DecodeError."""
+        if topic in _STREAMS:
+            self._latest[topic] = payload
+        elif topic == "touch":
+            self._touch = decode_touch(payload)
+        elif topic == "state":
+            self.state = decode_state(payload)
+        elif topic == "info":
+            self.info = decode_info(payload)
+        elif topic == "contact":
+            self._add(decode_contact(payload))
+        else:
+            raise DecodeError(f"found the topic {quoted(topic)}, expected one of {', '.join(TOPICS)}")
 
     def _add(self, contact: Contact) -> None:
         """Complete a frame: ``contact`` is the last message that a daemon sends for it."""

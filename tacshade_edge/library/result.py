@@ -180,6 +180,11 @@ class Results(ABC, Iterator[Result]):
     def passed_over(self) -> int:
         """Number of frames without a result: a newer one replaced them, or they were lost or damaged in transit."""
 
+    @property
+    def refused(self) -> int:
+        """Number of messages that no daemon publishes, from `listen`; the log shows the first."""
+        return 0
+
     @abstractmethod
     def __next__(self) -> Result:
         """Return the next result. Raises DeviceError, ConfigError."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import select
 import time
@@ -14,22 +15,24 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, connect_now, make_client
-from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.protocol.broker_address import BROKER, host_and_port
-from tacshade_edge.quoting import escaped, shown
+from tacshade_edge.quoting import escaped, quoted, shown
 from tacshade_edge.reasons import ReasonCode
 
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
 _STATES_S: Final = 1.0
+_THERE_MAX: Final = 64
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
 _ID_CHARS_MAX: Final = 255
+_STATE: Final = re.compile(r"tacshade/([^/\ufffd]+)/state")
 _SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
 
@@ -95,8 +98,11 @@ class _Heard(Results):
         def receive(topic: str, message: Any) -> None:
             if topic.startswith(f"{self._base}/"):
                 frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
+            elif found := _STATE.fullmatch(topic):
+                if len(self._there) < _THERE_MAX:
+                    self._there.add(found[1])
             else:
-                self._there.add(topic.split("/")[1])
+                raise DecodeError(f"found the topic {quoted(topic)}, expected one below {self._base}/")
 
         client.receive(receive)
         self._connect()
@@ -104,6 +110,10 @@ class _Heard(Results):
     @property
     def passed_over(self) -> int:
         return self._frames.passed_over
+
+    @property
+    def refused(self) -> int:
+        return self._client.refused
 
     def __next__(self) -> Result:
         if self._closed:

@@ -175,7 +175,7 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             (fixed,) = placed.transforms
             assert (fixed.parent_frame_id, fixed.child_frame_id) == ("drawn/flange", "drawn/sensor")
             streams = ("height", "cloud", "contact", "touch")
-            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in (*streams, "log")))
+            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in (*streams, "log")), "/tacshade/bridge")
             await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in streams))
             sensor.publish("state", b"degraded")
             await seen.until(
@@ -210,6 +210,9 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
             assert told == json.loads(contact)
             assert numbers == json.loads(touch)
+            sensor.base = "tacshade/no sensor"
+            sensor.publish("state", b"online")
+            await seen.until("/tacshade/bridge", found=lambda it: (it["undecodable"], it["unknown_topic"]) == (1, 1))
 
     with bridged(tmp_path) as (url, sensor, asker):
         asyncio.run(watch(url, sensor, asker))

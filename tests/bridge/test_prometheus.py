@@ -115,7 +115,7 @@ def test_real_hands_come_before_invented_ones() -> None:
     sensors.hear("tacshade/other/health", health(), False)
     assert up_of(sensors) == {"other": 1, "real": 0}
     refused = {s.labels["why"]: s.value for f in sensors.collect() for s in f.samples if "refused" in f.name}
-    assert refused == {"undecodable": 0, "no_room": SENSORS_MAX}
+    assert refused == {"undecodable": 0, "no_room": SENSORS_MAX, "unknown_topic": 0}
 
 
 @pytest.mark.broker

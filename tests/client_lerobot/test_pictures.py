@@ -1,10 +1,11 @@
-"""Height and shear as colours and back, and a sensor's messages put together to pictures; without LeRobot."""
+"""Height and shear as colours and back, a sensor's messages put together to pictures, and mistakes in settings."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,18 +15,35 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from support.hostile_broker import BAD, HostileBroker
 from support.published_sensor import CRC, bump, calibration, dragged
 from tacshade_client import Message, decode_message
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
+from tools.testbed.mqtt_rig import free_port
 
 FOLDER = Path(__file__).parents[2] / "client_lerobot/lerobot_camera_tacshade"
 HALF_STEP_MM = 0.0125 + 1e-6
 
 
+def lerobot() -> None:
+    """What the plugin imports of LeRobot, if that is absent."""
+    if find_spec("lerobot") is not None:
+        return
+    for name in ("lerobot", "cameras", "cameras.camera", "cameras.configs", "utils", "utils.errors"):
+        full = "lerobot" if name == "lerobot" else f"lerobot.{name}"
+        sys.modules[full] = ModuleType(full)
+    config = type("CameraConfig", (), {"register_subclass": staticmethod(lambda _: lambda cls: cls)})
+    camera = type("Camera", (), {"__init__": lambda self, config: setattr(self, "width", config.width)})
+    sys.modules["lerobot.cameras.configs"].CameraConfig = config  # type: ignore[attr-defined]
+    sys.modules["lerobot.cameras.camera"].Camera = camera  # type: ignore[attr-defined]
+    for name in ("DeviceAlreadyConnectedError", "DeviceNotConnectedError"):
+        setattr(sys.modules["lerobot.utils.errors"], name, type(name, (ConnectionError,), {}))
+
+
 def room() -> ModuleType:
-    """The package without its first line, which asks for LeRobot."""
+    """The package without its first line, which asks for all of LeRobot."""
     if (made := sys.modules.get("lerobot_camera_tacshade")) is None:
         made = sys.modules["lerobot_camera_tacshade"] = ModuleType("lerobot_camera_tacshade")
         made.__path__ = [str(FOLDER)]
@@ -39,6 +57,9 @@ def _room() -> Iterator[None]:
 
 
 room()
+lerobot()
+camera = import_module("lerobot_camera_tacshade.camera")
+config = import_module("lerobot_camera_tacshade.config")
 colours = import_module("lerobot_camera_tacshade.colours")
 pictures = import_module("lerobot_camera_tacshade.pictures")
 
@@ -123,7 +144,9 @@ def test_what_is_not_of_the_frame_gives_no_picture() -> None:
         assert made.add(each) is None
     for each in frame(4, 2.0, crc=1):
         assert made.add(each) is None  # of another calibration
-    assert made.passed_over == 4
+    for each in (height, frame(3, 2.0, step_px=8)[1], contact):
+        assert made.add(each) is None  # the shear has another grid
+    assert made.passed_over == 5
     assert [made.add(each) is None for each in (height, shear, contact)] == [True, True, False]
     torn = bump(9, 0.0, 0.0, 0.0)
     invalid = messages.encode_contact(type(torn)(**{**fields(torn), "valid": False, "reason": TORN}), fps=1.0)
@@ -131,6 +154,42 @@ def test_what_is_not_of_the_frame_gives_no_picture() -> None:
 
 
 TORN = Reason(ReasonCode.TORN, "torn")
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"broker": "mqtt://h"}, "broker: found 'mqtt://h', expected HOST or HOST:PORT"),
+        ({"broker": ""}, "broker: found ''"),
+        ({"sensor": "a/b"}, "name: found 'a/b', expected a sensor"),
+        ({"password_file": "absent"}, "No such file or directory: 'absent'"),
+        ({"password_file": "."}, "Is a directory: '.'"),
+        ({"password_file": sys.executable}, "can't decode byte"),
+        ({"password_file": __file__}, "found a password without a username"),
+        ({"ca_file": "absent"}, "absent: No such file or directory, expected a PEM file"),
+        ({"ca_file": __file__}, "expected a PEM file with certificates"),
+        ({}, "Connection refused; expected a broker"),
+    ],
+)
+def test_a_mistake_in_the_settings_is_a_connection_error_of_one_line(settings: dict[str, str], says: str) -> None:
+    made = camera.TacShadeCamera(
+        config.TacShadeCameraConfig(**{"sensor": "left", "broker": f"localhost:{free_port()}", **settings})
+    )
+    with pytest.raises(ConnectionError) as caught:
+        made.connect()
+    assert str(caught.value).startswith("TacShadeCamera(")
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not made.is_connected
+
+
+def test_a_sensor_that_is_not_there_is_a_connection_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera, "_CONNECT_S", 0.1)
+    with HostileBroker(BAD) as broker:
+        made = camera.TacShadeCamera(config.TacShadeCameraConfig(sensor="left", broker=f"localhost:{broker.port}"))
+        with pytest.raises(ConnectionError, match="no picture within 100 ms; expected a calibrated sensor"):
+            made.connect()
+    assert not made.is_connected
 
 
 def fields(result: Any) -> dict[str, Any]:

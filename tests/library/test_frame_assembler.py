@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from support.published_sensor import calibration as published_calibration
 import tacshade_edge as ts
 from tacshade_edge.daemon.observer import FrameResult
 from tacshade_edge.daemon.publishing import Publisher
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -136,7 +138,10 @@ def test_before_a_calibration_a_reason_is_kept() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from(TOPICS), st.binary(max_size=200))))
 def test_no_bytes_break_it(sent: list[tuple[str, bytes]]) -> None:
-    frames = heard(*sent)
+    frames = heard()
+    for topic, payload in sent:
+        with suppress(DecodeError):
+            frames.add(topic, payload)
     frames.take()
     assert frames.take() is None
 
@@ -145,7 +150,8 @@ def faulty(info: bytes = b"") -> FrameAssembler:
     frames = FrameAssembler()
     frames.add("info", json.dumps(INFO).encode())
     if info:
-        frames.add("info", info)
+        with pytest.raises(DecodeError):
+            frames.add("info", info)
     return frames
 
 
@@ -194,7 +200,8 @@ def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
         (8, messages.encode_touch(touched), None),
         (9, b'{"seq":9,"t_ns":0,"touch":{"x_mm":1e300},"touch_sigma":{"x_mm":0}}', None),
     ):
-        frames.add("touch", payload)
+        with nullcontext() if seq < 9 else pytest.raises(DecodeError):
+            frames.add("touch", payload)
         show(frames, replace(TOUCHED, seq=seq))
         result = frames.take()
         assert result is not None
@@ -224,8 +231,11 @@ def test_a_height_beyond_the_skin_and_another_kind_pass_a_frame_over() -> None:
 def test_a_contact_and_a_state_that_are_none_are_nobodys() -> None:
     frames = faulty()
     for payload in (b"{}", b'{"seq":-1,"t_ns":0,"contact":1}', b'{"seq":1,"t_ns":0,"contact":1e308}', b"[" * 60_000):
-        frames.add("contact", payload)
-    frames.add("state", b"\x1b[2J")
+        with pytest.raises(DecodeError, match=r"^contact: "):
+            frames.add("contact", payload)
+    for topic in ("state", "\ufffd", "height/2"):
+        with pytest.raises(DecodeError):
+            frames.add(topic, b"\x1b[2J")
     assert not frames.whole
     assert frames.state == ""
     show(frames, TOUCHED)

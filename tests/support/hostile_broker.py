@@ -8,9 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 
-BAD_TOPIC = b"tacshade/\xff\xfe/state"
-"""Not UTF-8."""
-
 
 def packet(kind: int, body: bytes) -> bytes:
     """An MQTT packet with a body of up to 2 MB."""
@@ -24,6 +21,15 @@ def packet(kind: int, body: bytes) -> bytes:
 def publish(topic: bytes, payload: bytes = b"x") -> bytes:
     """A PUBLISH of MQTT 5, QoS 0, without properties."""
     return packet(0x30, len(topic).to_bytes(2, "big") + topic + b"\0" + payload)
+
+
+_LONG = b"a" * 65_000
+BAD_TOPICS = (
+    *(b"tacshade/\xff\xfe/state", b"", b"x", b"/", b"\0", b"\xff" * 65_535, b"tacshade/test/req/\xff" + _LONG),
+    *(b"tacshade/test/req/#", b"tacshade/test/req/+/a", b"tacshade/test/req/\x1b[2J", b"tacshade/test/req/" + _LONG),
+)
+BAD = b"".join(map(publish, BAD_TOPICS))
+"""Topics that nobody may publish on or that nobody subscribed to."""
 
 
 class HostileBroker:

@@ -51,16 +51,17 @@ def log_jpeg_lines() -> None:
     libc.fopencookie.argtypes = (ctypes.c_void_p, ctypes.c_char_p, _Functions)
     libc.setvbuf.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t)
     libc.fileno.argtypes = (ctypes.c_void_p,)
-    stream, current = (
-        libc.fopencookie(None, b"w", _Functions(None, _write_from_c, None, None)),
-        ctypes.c_void_p.in_dll(libc, "stderr"),
-    )
-    if not stream or ctypes.c_int.from_address(current.value + _FILENO_AT).value != libc.fileno(current):
+    stderr = ctypes.c_void_p.in_dll(libc, "stderr")
+    before, stream = stderr.value, libc.fopencookie(None, b"w", _Functions(None, _write_from_c, None, None))
+    if before is None or not stream:
+        return
+    number = ctypes.c_int.from_address(before + _FILENO_AT)
+    if number.value != libc.fileno(stderr):
         return
     libc.setvbuf(stream, None, _UNBUFFERED, 0)
-    ctypes.c_int.from_address(stream + _FILENO_AT).value = libc.fileno(current)
-    atexit.register(setattr, current, "value", current.value)  # nothing may call Python after its end
-    current.value = stream
+    ctypes.c_int.from_address(stream + _FILENO_AT).value = number.value
+    atexit.register(setattr, stderr, "value", before)  # nothing may call Python after its end
+    stderr.value = stream
     _stream.append(stream)
 
 

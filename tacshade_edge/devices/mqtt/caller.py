@@ -7,7 +7,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
@@ -16,9 +16,11 @@ from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX
 from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, BrokerAddress, connect, connect_failure, make_client
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.protocol.codec import decode_object
+from tacshade_edge.quoting import escaped, quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 
 CONNECT_S = 5.0
+_ERROR_CHARS_MAX: Final = 500
 
 
 class MqttCaller:
@@ -36,7 +38,8 @@ class MqttCaller:
         self._failure: Reason | None = None
         self._denied: MqttCode | None = None
         self._latest: dict[str, bytes] = {}
-        self._replies: dict[str, dict[str, Any]] = {}
+        self._asked = ""
+        self._reply: dict[str, Any] | None = None
         self._client = make_client(broker, base_topic=self._base, client_id=f"tacshade-{verb}-{secrets.token_hex(6)}")
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
@@ -56,23 +59,23 @@ class MqttCaller:
         """Send a request and return its result. Raises DeviceError (the daemon or the broker rejected it, or the daemon
         did not answer).
         """
-        transaction, self._denied = secrets.token_hex(8), None
-        payload = json.dumps({**body, "transaction": transaction}).encode()
+        self._asked, self._denied, self._reply = secrets.token_hex(8), None, None
+        payload = json.dumps({**body, "transaction": self._asked}).encode()
         self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
-        answered = self.wait_for(lambda: transaction in self._replies or self._denied is not None, timeout_s)
+        answered = self.wait_for(lambda: self._reply is not None or self._denied is not None, timeout_s)
         if (denied := self._denied) is not None:
             found = f"{self._where}: rejects {self._base}/req/{self._verb}: {denied}"
             rules = "change the broker's access rules (ACL) to allow this user to publish to this topic"
             fix = MESSAGE_SIZE_FIX if denied.value == PACKET_TOO_LARGE else rules
             raise DeviceError(f"{found}; {fix}", code=ReasonCode.REFUSED)
-        if not answered:
+        if not answered or (reply := self._reply) is None:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
             raise DeviceError(f"{found}; is the daemon running?", code=ReasonCode.NO_ANSWER)
-        reply = self._replies[transaction]
-        if reply.get("ok") is not True:
-            raise DeviceError(str(reply.get("error")))
-        result: dict[str, Any] = reply["result"]
-        return result
+        match reply:
+            case {"ok": True, "result": dict(result)}:
+                return result
+            case _:
+                raise DeviceError(escaped(str(reply.get("error")), _ERROR_CHARS_MAX))
 
     def latest(self, topic: str) -> bytes:
         """Return the latest payload of a watched topic; empty before the first."""
@@ -124,11 +127,11 @@ class MqttCaller:
         payload = bytes(message.payload)
         with self._changed:
             if topic == self._topics[0]:
-                try:
-                    reply = decode_object(topic, payload)
-                    self._replies[str(reply["transaction"])] = reply
-                except (DecodeError, KeyError):
-                    return  # another caller's reply, or no reply
-            else:
+                reply = decode_object(topic, payload)
+                if reply.get("transaction") == self._asked:  # else it is another caller's
+                    self._reply = reply
+            elif topic in self._topics:
                 self._latest[topic] = payload
+            else:
+                raise DecodeError(f"found the topic {quoted(topic)}, expected one of {', '.join(self._topics)}")
             self._changed.notify_all()

@@ -15,7 +15,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DecodeError
 
 _log = logging.getLogger(__name__)
 
@@ -42,25 +42,26 @@ class BrokerAddress(TypedDict):
 
 
 class Session(Client):
-    """paho's client, which reconnects by itself and which no broker's message can end. `malformed`: number of messages
-    dropped because their topic is not UTF-8: paho raises when a callback reads it.
+    """paho's client, which reconnects by itself and which no broker's message can end. `refused`: number of messages
+    that `receive` dropped.
     """
 
-    malformed = 0
+    refused = 0
     _unknown_code: int | None = None
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
-        """Hand every message to `on_message`, with its topic."""
+        """Hand every message to `on_message` with its topic, where U+FFFD replaces what is not UTF-8.
+
+        If that raises DecodeError, the message is dropped and counted; the first one is logged.
+        """
 
         def enter(_client: Client, _userdata: Any, message: MQTTMessage) -> None:
             try:
-                topic = message.topic
-            except UnicodeDecodeError:
-                if not self.malformed:
-                    _log.warning("%s: dropped a message whose topic is not UTF-8; further ones are counted", self.host)
-                self.malformed += 1
-            else:
-                on_message(topic, message)
+                on_message(message._topic.decode(errors="replace"), message)  # `topic` raises
+            except DecodeError as error:
+                if not self.refused:
+                    _log.warning("%s: %s; dropped the message; further ones are only counted", self.host, error)
+                self.refused += 1
 
         self.on_message = enter
 

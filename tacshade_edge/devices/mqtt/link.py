@@ -119,7 +119,8 @@ class MqttLink(Outgoing):
     def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
         """Subscribe to a topic below the base on every connection, retained value included; call before `start`.
 
-        `on_payload` is called like `on_request`, but not for what this link itself publishes there.
+        `on_payload` is called like `on_request`, but not for what this link itself publishes there. If it raises
+        DecodeError, that is a bad request.
         """
         self._watched[topic] = on_payload
 
@@ -230,7 +231,7 @@ class MqttLink(Outgoing):
         if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:
             on_payload(bytes(message.payload))
             return
-        request = read_request(self._base, message)
+        request = read_request(self._base, topic, message)
         with self._lock:
             self._counters["bad_requests" if isinstance(request, BadRequest) else "requests"] += 1
         if isinstance(request, Request):

@@ -87,7 +87,7 @@ class Outgoing:
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
         with self._lock:
-            counts = self._counters + Counter(bad_requests=self._client.malformed)
+            counts = self._counters + Counter(bad_requests=self._client.refused)
             return {name: counts[name] for name in _COUNTERS}
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
