@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tacshade_edge.cli.shared.options import add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
@@ -19,18 +21,22 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import camera
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import LabelledFrame, TouchResult, learn_touch, load_networks, report_lines
 from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.simulator.render import project
+from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.images import images_in, read_image
+from tacshade_edge.storage.pictures import reference_picture, write_picture
 from tacshade_edge.storage.tables.indenters import read_indenters
 from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
 from tacshade_edge.storage.tables.presses import read_presses
-from tacshade_edge.types import QUANTITIES, U8, Calibration
+from tacshade_edge.types import QUANTITIES, U8, Calibration, Geometry
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.fit import FitResult
@@ -50,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group(required=True)
     add_option(kind, "--sensor", "SENSOR.yaml", "file that describes the sensor's dimensions and camera")
     add_option(kind, "--rezero", "CAL.npz", "replace only the reference in this calibration file")
-    text = "at least 5 images of the untouched skin"
+    text = "at least 5 images of the untouched skin, or folders of them"
     add_option(parser, "--reference", "IMG", text, required=True, nargs="+")
     add_option(parser, "--presses", "PRESSES.csv", "calibrate depth in mm with the known presses in this table")
     text = "file that defines every indenter in PRESSES.csv that is not a ball"
@@ -62,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "learn depth, tilt, shear, forces and so on from the labelled frames in this table"
     add_option(parser, "--labels", "LABELS.csv", text)
     add_option(parser, "--out", "CAL.npz", "calibration file to write", required=True)
+    add_option(parser, "--plot", "FILE.png", "draw what was found on the reference, or only its axes if it is refused")
     text = "warn, but do not stop, if something seems to be pressing on the skin in the reference images"
     parser.add_argument("--allow-loaded-reference", action="store_true", help=text)
     parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
@@ -79,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
             args.parser.error(f"--{option.replace('_', '-')} has no effect without --presses")
     if args.fit:
         need("--fit", "fit", "torch", "numba")  # large, and needed only here
+    args.reference = images_in(args.reference)
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
     labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
@@ -88,8 +96,13 @@ def run(args: argparse.Namespace) -> int:
     except ConfigError as error:
         paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}  # errors have generic names
         pattern = r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )"
+        if args.plot:
+            _plot(args.plot, reference_picture(to_grey(references[0])))
         raise ConfigError(re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others) from None
     calibration, fitted = result.calibration, None
+    if args.plot:
+        places = places_px(calibration.geometry, result.presses)
+        _plot(args.plot, reference_picture(calibration.reference_grey, calibration, places))
     if args.fit:
         from tacshade_edge.fitting.fit import fit
 
@@ -119,6 +132,19 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _plot(path: Path, picture: U8) -> None:
+    with disk_errors(path):
+        write_picture(path, picture)
+
+
+def places_px(geometry: Geometry, presses: Sequence[KnownPress]) -> list[list[float]]:
+    """Column and row of each stated place on the undeformed skin."""
+    stated = np.array([(one.x_mm, one.y_mm) for one in presses if one.x_mm is not None], np.float64).reshape(-1, 2)
+    z_mm = np.sqrt(np.maximum(geometry.skin_radius_mm**2 - (stated * stated).sum(axis=1), 0))
+    found: list[list[float]] = project(geometry, np.column_stack((stated, z_mm))).tolist()
+    return found
+
+
 def _presses(args: argparse.Namespace, skin_radius_mm: float) -> tuple[Sequence[KnownPress], tuple[str, ...]]:
     """Return the presses of the table, with depths for travels if so asked, and remarks on the table."""
     indenters = read_indenters(args.indenters) if args.indenters else {}
@@ -134,6 +160,7 @@ def _presses(args: argparse.Namespace, skin_radius_mm: float) -> tuple[Sequence[
 
 
 def _rezero(args: argparse.Namespace) -> int:
+    args.reference = images_in(args.reference)
     old, inputs = calibrations.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:

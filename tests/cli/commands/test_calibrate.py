@@ -23,6 +23,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.pictures import LEFT_PX, SEEN_PX, TOP_PX
 from tacshade_edge.types import Calibration, Frame, Need
 
 pytestmark = pytest.mark.slow
@@ -93,6 +94,34 @@ def test_without_presses_it_says_what_is_missing(
     printed = capsys.readouterr()
     assert "uncalibrated: " in printed.out
     assert printed.err.startswith("warning: references: found 1, expected 5 to measure noise")
+
+
+def test_a_folder_of_references_and_a_picture_of_what_was_found(
+    alone: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, plot, out = tmp_path / "free", tmp_path / "seen.png", tmp_path / "cal.npz"
+    given.mkdir()
+    references = alone[alone.index("--reference") + 1 :]
+    for path in references:
+        (given / Path(path).name).symlink_to(path)
+    command = ["calibrate", *alone[: -len(references)], str(given), "--out", str(out), "--plot", str(plot)]
+    assert main(command) == 0
+    disc = calibration_file.load(out).geometry.disc
+    picture, zoom = read_image(plot), SEEN_PX // 320
+    row, left, right = (
+        TOP_PX + round((disc.row_c + 0.5) * zoom),
+        *(LEFT_PX + round((disc.col_c + 0.5 + side * disc.radius_px) * zoom) for side in (-1, 1)),
+    )
+    for col in (left, right):
+        blue, green, red = picture[row, col]
+        assert blue < 60 < 180 < min(green, red), "the circle is yellow"
+    (given / "flat.png").write_bytes(cv2.imencode(".png", np.full((240, 320), 90, np.uint8))[1].tobytes())
+    plot.unlink()
+    out.unlink()
+    capsys.readouterr()
+    command[command.index(str(given))] = str(given / "flat.png")
+    refused(command, capsys)
+    assert read_image(plot).shape[0] > 240
 
 
 def test_depths_as_travel_from_first_touch_are_refused_unless_said_so(
