@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
-    from tacshade_edge.library.frames import open, read
-    from tacshade_edge.library.hand import read_hand
+    from tacshade_edge.library.frames import open, read, read_hand
     from tacshade_edge.library.messages import decode, decode_file
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.sensor import Sensor, load
@@ -56,9 +55,8 @@ __all__ = [
 
 _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
-    "library.frames": ("open", "read"),
+    "library.frames": ("open", "read", "read_hand"),
     "library.subscriber": ("listen",),
-    "library.hand": ("read_hand",),
     "library.messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),

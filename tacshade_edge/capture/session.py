@@ -34,7 +34,7 @@ from tacshade_edge.types import U8, Calibration, Frame
 
 @dataclass(frozen=True, slots=True)
 class _Taken:
-    """A press as `coverage.Pressed` requires it."""
+    """A press as `quality.Pressed` requires it."""
 
     place_mm: tuple[float, float]
     depth_mm: float

@@ -268,7 +268,13 @@ class _State:
 
 
 class ObjectTracker:
-    """Tracks the object that a hand holds."""
+    """Tracks the object that a hand holds, from the skin that sticks to it.
+
+    All patches are assumed to belong to one object, and the fingers to stand still in the hand. While the same patches
+    stick, each fit uses the change since that link's beginning, so that nothing accumulates at rest. When a patch
+    joins, leaves or begins to slip, the motion so far is kept, and the next link begins with the patches that then
+    stick.
+    """
 
     def __init__(self) -> None:
         self._state: _State | None = None

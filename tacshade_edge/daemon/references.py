@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tacshade_edge.core.calibration.reference import following
-from tacshade_edge.core.calibration.reference.following import Distance
-from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.core.calibration.reference import references
+from tacshade_edge.core.calibration.reference.references import Distance, rezero
 from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.free_memory import return_free_memory
@@ -232,7 +231,7 @@ class References(FrameObserver):
         self._looks += 1
         if isinstance(taken, Reason):
             return self._change_state("stopped", taken)
-        followed = following.follow(self._origin.calibration, calibration, taken)
+        followed = references.follow(self._origin.calibration, calibration, taken)
         return_free_memory()  # the heap kept 7 MB
         self._distance = followed.distance
         changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
@@ -250,7 +249,7 @@ class References(FrameObserver):
             return None
         disc = self._origin.calibration.geometry.disc
         state = {"state": self._state, **reason_fields(self._reason, "stopped")}
-        return {**self._origin.as_dict(), "bounds": following.bounds(disc), **state}
+        return {**self._origin.as_dict(), "bounds": references.bounds(disc), **state}
 
     def health(self) -> dict[str, Any]:
         """The report for ``health``: how it follows, and how far the latest frames at rest were from where it began."""

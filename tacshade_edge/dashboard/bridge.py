@@ -39,7 +39,10 @@ _PROPERTIES: Final = {_SESSION_EXPIRY: 4, 0x17: 1, 0x19: 1, 0x21: 2, 0x22: 2, 0x
 
 
 class ReadOnly:
-    """A filter that passes whole packets of one page."""
+    """A filter that passes whole packets of one page, which may log in, subscribe and acknowledge, but not publish.
+
+    Only this inspects a page's bytes, packet by packet (MQTT 3.1.1 and 5, section 2.1).
+    """
 
     def __init__(self) -> None:
         self._rest = b""

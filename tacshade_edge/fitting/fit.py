@@ -30,9 +30,8 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES, Profile
 from tacshade_edge.fitting import training
 from tacshade_edge.fitting.identify import PARAMETERS, Found, identify
-from tacshade_edge.fitting.mechanics import LEAST_PRESSES, Mechanics, likely_mechanics
-from tacshade_edge.fitting.torch_network import TorchNetwork
-from tacshade_edge.fitting.twin import Frames, Steps, simulate
+from tacshade_edge.fitting.training import TorchNetwork
+from tacshade_edge.fitting.twin import LEAST_PRESSES, Frames, Mechanics, Steps, likely_mechanics, simulate
 from tacshade_edge.inference.network import SHEAR, load_network, network_files, network_size, shipped_layout
 from tacshade_edge.inference.onnx_weights import weights_of
 from tacshade_edge.types import F32, F64, Calibration, FittedNetwork

@@ -14,12 +14,11 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.fitting import compiled
 from tacshade_edge.fitting.shapes import random_shape
 from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.drag import Mechanics, drag_skin
+from tacshade_edge.simulator.drag import Mechanics, drag_skin, two_scale_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, Shape, distance_mm
 from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM
-from tacshade_edge.simulator.two_scales import two_scale_skin
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 
 N = disc_map.CELLS
@@ -94,8 +93,8 @@ class Unevenness:
     """How a skin differs from the model.
 
     `stiffness`, one number or one for each node, multiplies the foundation's, and so does 1 + `hardening` h / (0.15 r).
-    `skirt` holds the arguments of `with_skirt`. With `two_scales`, the skin is that of `simulator.two_scales` and uses
-    none of these. `mechanics` determine how objects drag the skin.
+    `skirt` holds the arguments of `with_skirt`. With `two_scales`, the skin is that of `simulator.drag.two_scale_skin`
+    and uses none of these. `mechanics` determine how objects drag the skin.
     """
 
     stiffness: F32 | float = 1.0

@@ -5,16 +5,18 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 from tacshade_edge.core.contact.tracking import ContactTracker
-from tacshade_edge.core.profiles import AUTO, DEFAULT
+from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
-from tacshade_edge.factories import calibrations, sources
+from tacshade_edge.factories import calibrations, hand_recordings, sources
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
+from tacshade_edge.protocol.topics import HandObjects
 from tacshade_edge.settings import Settings, V4l2
 from tacshade_edge.settings import load as load_settings
 from tacshade_edge.storage.recording.recording import Recording
@@ -190,3 +192,35 @@ class _Recorded(Results):
 
     def close(self) -> None:
         self._recording = None
+
+
+def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:
+    """Read recordings of a hand's fingers and yield the messages that the hand would have published.
+
+    See docs/how-to/hand.md. The log reports damaged and cut-off recordings.
+
+    Parameters
+    ----------
+    recordings : iterable of path
+        Recorded at the same time by the sensors of one hand; each holds its calibration and the sensor's pose.
+    profile : str
+        ``fast``, ``balanced`` or ``accurate``.
+
+    Yields
+    ------
+    HandObjects
+        Lengths in mm, vectors along the hand's axes.
+
+    Raises
+    ------
+    ConfigError
+        A path is not a finger's recording, two recordings are of one sensor, or they are of several hands.
+    """
+    if isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable):
+        raise wrong("recordings", recordings, "a list of paths")
+    paths = [path_of("recordings", path) for path in recordings]
+    if not paths:
+        raise wrong("recordings", [], "a list of paths")
+    if not isinstance(profile, str) or profile not in PROFILES:
+        raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
+    return hand_recordings.read_hand(paths, profile).messages

@@ -1,7 +1,7 @@
 """Fingers that hold a moving object: its path, and the press, load, slip and skin of each finger.
 
 Pressure and traction of each contact are those of `skin` and `drag`: Coulomb's law holds at every node, and the hand
-needs no other law. Loads are in skin units (`load`).
+needs no other law. Loads are in skin units (`skin.Load`).
 
 The shape of a finger's press is the object as it lies, which makes its position exact. A press states how the object
 moved since it touched as a drag and a twist: those of the material at the middle of the contact. A rotation about an
@@ -188,7 +188,7 @@ class HandScript:
 
 
 class FingerSensor(Protocol):
-    """A simulated sensor: `scene.SimulatedSensor`, or one of another family."""
+    """A simulated sensor: `truth.SimulatedSensor`, or one of another family."""
 
     @property
     def model(self) -> SensorModel:

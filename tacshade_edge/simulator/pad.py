@@ -150,7 +150,7 @@ def touchpad() -> Pad:
 
 
 class Surface(Protocol):
-    """A surface that a robot scans with presses: `Pad`, `drawn_pads.Relief`."""
+    """A surface that a robot scans with presses: `Pad`, `Relief`."""
 
     @property
     def width_mm(self) -> float:

@@ -162,6 +162,9 @@ class Load:
     cancel in `pull_mm3`); the force of the pressure on the object, through O, and of the traction, and the latter's
     torque about O, in the sensor frame; `surplus`, the part of its drag and twist that the object could reverse without
     sticking anywhere (0 if it sticks).
+
+    In skin units, p / kn and q / kt in mm. The stiffnesses kn along the radius and kt along the skin are left open:
+    `SensorModel.coulomb` is μ kn / kt, and callers that add both loads state μ.
     """
 
     normal_mm3: float

@@ -23,7 +23,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import REACH
 from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tradeoff.grid import scaled_grey
+from tacshade_edge.studies.tradeoff.measure import scaled_grey
 from tacshade_edge.types import F32, F64, Bool, Disc, Geometry
 
 ALPHA_MM = 3.0

@@ -35,9 +35,8 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.sensors import SensorName
-from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
-from tacshade_edge.studies.evaluate.work import scenes
+from tacshade_edge.studies.evaluate.work import SensorName, scenes
+from tacshade_edge.studies.evaluate.work import calibrated as study_calibration
 from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
 from tools.testbed.simulator.families import released
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.core.calibration.reference.following import bounds
+from tacshade_edge.core.calibration.reference.references import bounds
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.references import (

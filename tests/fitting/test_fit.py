@@ -84,7 +84,7 @@ def test_an_interrupted_fit_leaves_no_worker_and_goes_on(monkeypatch: pytest.Mon
 @pytest.mark.slow
 def test_balls_show_the_mechanics() -> None:
     from tacshade_edge.fitting.identify import identify
-    from tacshade_edge.fitting.mechanics import Mechanics, likely_mechanics
+    from tacshade_edge.fitting.twin import Mechanics, likely_mechanics
 
     found = identify(without_presses())[0]
     shown = likely_mechanics(without_presses(), found, presses())
@@ -150,7 +150,7 @@ def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
 def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
     import torch
 
-    from tacshade_edge.fitting.torch_network import TorchNetwork
+    from tacshade_edge.fitting.training import TorchNetwork
 
     shipped = float_network(name, tmp_path)
     rng, side, folded = np.random.default_rng(0), PROFILES[name].cells // shipped.fold, shipped.fold**2
@@ -166,7 +166,7 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
 
 
 def test_weights_are_loaded_in_their_order() -> None:
-    from tacshade_edge.fitting.torch_network import TorchNetwork
+    from tacshade_edge.fitting.training import TorchNetwork
 
     network = TorchNetwork("shear")
     doubled = 2 * network.flat()

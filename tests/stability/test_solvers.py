@@ -24,7 +24,7 @@ from tacshade_edge.core.image.greyscale import chambolle, denoise_tv, normalise,
 from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
 from tacshade_edge.core.image.white import BoxSums, CellMeans, Integrator, binarise
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tradeoff.grid import scaled_grey
+from tacshade_edge.studies.tradeoff.measure import scaled_grey
 from tacshade_edge.types import F32, F64, U8, Binarisation, Bool, Disc
 
 ALPHA_MM = 3.0

@@ -28,13 +28,14 @@ from tacshade_edge.studies.evaluate.report import (
     worst,
 )
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.studies.evaluate.work import (
     DEPTHS_MM,
     RINGS,
     Evaluation,
     Plan,
+    SensorName,
     Timing,
+    calibrated,
     evaluate,
     places,
     scenes,

@@ -28,8 +28,7 @@ from tacshade_edge.studies.evaluate.score import (
     score,
     score_cloud,
 )
-from tacshade_edge.studies.evaluate.sensors import reconstructor
-from tacshade_edge.studies.evaluate.work import evaluate_images, read_images
+from tacshade_edge.studies.evaluate.work import evaluate_images, read_images, reconstructor
 from tacshade_edge.types import F32, Bool, Frame, HeightMap, Reconstruction
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 

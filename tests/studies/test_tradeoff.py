@@ -18,12 +18,15 @@ from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import read_images
 from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tradeoff import measure
-from tacshade_edge.studies.tradeoff.grid import WORDS, Setting, grid, make
 from tacshade_edge.studies.tradeoff.measure import (
     IDLE_FRAMES,
+    WORDS,
     Point,
     SensorCases,
+    Setting,
     Times,
+    grid,
+    make,
     peak_memory,
     points,
     score_settings,

@@ -10,7 +10,7 @@ import pytest
 
 from support.calibrated_sensor import HALF
 from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
+from tacshade_edge.studies.evaluate.work import FAMILIES, SensorName
 
 HALF_SENSOR = SensorName("half", None)
 

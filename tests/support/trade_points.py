@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from tacshade_edge.core.profiles import PROFILES, Profile
-from tacshade_edge.studies.tradeoff.grid import Setting
-from tacshade_edge.studies.tradeoff.measure import Estimate, Point
+from tacshade_edge.studies.tradeoff.measure import Estimate, Point, Setting
 
 
 def around(value: float) -> Estimate:

@@ -38,7 +38,7 @@ def serve(frames: int) -> None:
     from tacshade_edge import types
     from tacshade_edge.protocol import messages, wire
     from tacshade_edge.simulator.press import OBJECTS, Press
-    from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
+    from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor
 
     cv2.setNumThreads(1)
     name = SensorName.parse("default")

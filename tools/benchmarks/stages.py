@@ -25,8 +25,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
-from tacshade_edge.studies.evaluate.work import stages_ms
+from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor, stages_ms
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 

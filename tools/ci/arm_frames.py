@@ -39,7 +39,7 @@ def write(folder: Path) -> None:
     """Write simulated images; only on this machine, as the other one would need minutes."""
     from tacshade_edge.core.image.greyscale import to_grey
     from tacshade_edge.simulator.press import OBJECTS, Press
-    from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
+    from tacshade_edge.studies.evaluate.work import SensorName, calibrated
 
     name = SensorName.parse("default")
     calibration_file.save(folder / "calibration.npz", calibrated(name, 8, 20).calibration)

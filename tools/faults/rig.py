@@ -118,14 +118,14 @@ class Cell:
         self.broker.start()
         self.enter(self.seen)
 
-    def settings(self, more: str = "", *, port: int | None = None, profile: str = "fast") -> Path:
+    def settings(self, more: str = "", *, profile: str = "fast") -> Path:
         """Write the settings; return their path."""
         path = self.folder / "s.yaml"
         fresh = path.with_suffix(".new")
         fresh.write_text(
             f"sensor_id: {SENSOR_ID}\nprofile: {profile}\ncalibration: c.npz\n"
             "source: {kind: files, path: images, fps: 60, loop: true}\n"
-            f"mqtt: {{host: 127.0.0.1, port: {port or self.broker.port}}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {self.broker.port}}}\n"
             f"recorder: {{folder: recs}}\nstitching: {{folder: maps}}\n{more}"
         )
         return fresh.replace(path)
@@ -147,13 +147,12 @@ class Cell:
         self,
         path: Path,
         log: str = "log",
-        before: Callable[[], None] | None = None,
         environment: dict[str, str] | None = None,
     ) -> subprocess.Popen[bytes]:
         """Start a daemon; `environment` is added to this process's environment."""
         words = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(path)]
         with (self.folder / log).open("a") as stream:
-            return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=os.environ | (environment or {}))
+            return subprocess.Popen(words, stderr=stream, env=os.environ | (environment or {}))
 
     @contextlib.contextmanager
     def second(self, told: str) -> Iterator[float]:

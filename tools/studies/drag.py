@@ -21,7 +21,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame, Truth
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
-from tacshade_edge.studies.evaluate.sensors import SensorName, family_of, reconstructor
+from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
 from tacshade_edge.studies.tables import grouped, new_figure, png, summary
 from tacshade_edge.types import F64, Bool, Calibration, Frame, Reconstruction
 from tools.studies import command

@@ -43,8 +43,15 @@ from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName
-from tacshade_edge.studies.evaluate.work import DEPTHS_MM, Scene, scenes
+from tacshade_edge.studies.evaluate.work import (
+    DEPTHS_MM,
+    PRESS_NOISE,
+    REFERENCE_NOISE,
+    PressedSensor,
+    Scene,
+    SensorName,
+    scenes,
+)
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.studies.command import stated_press

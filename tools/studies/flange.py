@@ -30,7 +30,7 @@ from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.press import Press, Shape
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.evaluate.sensors import calibrated, reconstructor
+from tacshade_edge.studies.evaluate.work import calibrated, reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, U8, Calibration, Frame, Pose
 from tools.testbed import flange_plan

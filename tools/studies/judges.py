@@ -34,7 +34,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.sensors import FAMILIES, PressedSensor, SensorName, reconstructor
+from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName, reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
 from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact

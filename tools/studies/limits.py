@@ -23,7 +23,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, ball, bars, ridge
 from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor, skin_points
-from tacshade_edge.studies.evaluate.sensors import (
+from tacshade_edge.studies.evaluate.work import (
     NULL_NOISE,
     PRESSES,
     REFERENCES,

@@ -25,7 +25,7 @@ from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
-from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
+from tacshade_edge.studies.evaluate.work import SensorName, reconstructor
 from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame
 from tools.studies import command

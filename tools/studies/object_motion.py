@@ -29,7 +29,7 @@ from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.rigid import Rigid, turned_rad
 from tacshade_edge.simulator.hand import HandScript, Placement, box, cylinder, sphere
 from tacshade_edge.simulator.press import Shape
-from tacshade_edge.studies.evaluate.sensors import calibrated, reconstructor
+from tacshade_edge.studies.evaluate.work import calibrated, reconstructor
 from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text, summary
 from tacshade_edge.types import F64, Frame

@@ -36,7 +36,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
-from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.evaluate.work import reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import Calibration, Disc, Frame
 from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen

@@ -19,7 +19,7 @@ from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_points
-from tacshade_edge.studies.evaluate.sensors import SensorName, family_of, reconstructor
+from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
 from tacshade_edge.studies.tables import grouped, new_figure, png, summary
 from tacshade_edge.types import F32, F64, Bool, Calibration, Frame
 from tools.studies import command, drag

@@ -18,7 +18,7 @@ import numpy as np
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
+from tacshade_edge.studies.evaluate.work import SensorName, reconstructor
 from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tools.studies import command

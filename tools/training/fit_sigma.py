@@ -33,7 +33,7 @@ from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import no_mark
 from tacshade_edge.inference.network import WEIGHTS, load_networks
 from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
+from tacshade_edge.studies.evaluate.work import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies import command

@@ -25,8 +25,16 @@ from tacshade_edge.studies.evaluate import labelled as labels
 from tacshade_edge.studies.evaluate import picture, report
 from tacshade_edge.studies.evaluate.report import figures
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, reconstructor
-from tacshade_edge.studies.evaluate.work import Plan, Timing, evaluate, evaluate_images, time_profiles
+from tacshade_edge.studies.evaluate.work import (
+    PRESSES,
+    REFERENCES,
+    Plan,
+    Timing,
+    evaluate,
+    evaluate_images,
+    reconstructor,
+    time_profiles,
+)
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Calibration, Frame

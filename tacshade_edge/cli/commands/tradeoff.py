@@ -17,8 +17,15 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tradeoff import report
-from tacshade_edge.studies.tradeoff.grid import Setting, grid
-from tacshade_edge.studies.tradeoff.measure import Point, SensorCases, score_settings, simulated, weigh_and_time
+from tacshade_edge.studies.tradeoff.measure import (
+    Point,
+    SensorCases,
+    Setting,
+    grid,
+    score_settings,
+    simulated,
+    weigh_and_time,
+)
 
 SENSORS = "default,5"
 BUSY = 1.1

@@ -17,8 +17,7 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import images_in
-from tacshade_edge.studies.evaluate.sensors import SensorName
-from tacshade_edge.studies.evaluate.work import Case, read_images
+from tacshade_edge.studies.evaluate.work import Case, SensorName, read_images
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import how_to_install
 

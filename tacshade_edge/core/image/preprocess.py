@@ -177,8 +177,9 @@ class GreyMapper:
 def is_halved(calibration: Calibration, profile: Profile) -> bool:
     """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough.
 
-    A network also sees a noisy camera halved: one that needs Otsu's level (`reference.threshold_choice`). Its pixels
-    differ from their neighbours, which a mean over 2x2 px evens out, but a network of whole images takes for torn skin.
+    A network also sees a noisy camera halved: one that needs Otsu's level (`marker_field.choose_binarisation`). Its
+    pixels differ from their neighbours, which a mean over 2x2 px evens out, but a network of whole images takes for
+    torn skin.
     """
     side_px = min(calibration.image_height_px, calibration.image_width_px)
     wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")

@@ -1,7 +1,13 @@
-"""Place the points of frames in contact on one surface, and set up the normal equations of the unknowns.
+"""Find the sensor's pose on the flange and its frames' delay, for which overlapping presses make one surface.
 
-``base_T_sensor = base_T_flange(t - delay) @ flange_T_sensor``. The unknown surface is eliminated, as in `refinement`:
-first it is one quadratic function of x and y, then the mean heights of cells.
+``base_T_sensor = base_T_flange(t - delay) @ flange_T_sensor``. Hand-eye calibration by the surface that presses share,
+like iterative closest points (Chen and Medioni, "Object modeling by registration of multiple range images", 1992):
+Gauss-Newton with Cauchy's weight. The surface is eliminated, as in `refinement`: first it is one quadratic function of
+x and y, which needs no correspondence and so tolerates any error of the start, then the mean heights of cells that
+shrink. In the last ones each press has the robot's error and each frame the reconstruction's, and the sensor's
+systematic errors of a contact are solved for too, with their typical size as a prior. Contacts that are all tilted
+alike look like a turn of the sensor: this tilt is not solved for but considered in the covariance (Schmidt,
+"Application of state-space methods to navigation problems", 1966).
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ class InterpolatedPose:
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     """The pose at `t_ns` in a uniform motion and rotation, the shorter way, from `a` to `b` (at another time),
     extrapolated beyond. Two equal poses give that pose to the last bit: a robot at rest is at one place, whichever two
-    poses are used.
+    poses are used. Rotations by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
     """
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)

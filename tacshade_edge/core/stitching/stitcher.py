@@ -290,7 +290,7 @@ class Stitcher:
 
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
         """Add a press at its reported pose; the cost does not grow with the map. Raises ValueError, and adds nothing,
-        if the press has no points or the map is full (`POINTS_MAX`, `surface_map.TILES_MAX`).
+        if the press has no points or the map is full (`POINTS_MAX`, `TILES_MAX`).
         """
         count = len(points.points_mm)
         if count == 0:

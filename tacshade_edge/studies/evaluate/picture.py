@@ -16,8 +16,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.evaluate.score import CloudScore, KnownTruth, score_cloud
-from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
-from tacshade_edge.studies.evaluate.work import scenes
+from tacshade_edge.studies.evaluate.work import SensorName, reconstructor, scenes
 from tacshade_edge.types import F32, F64, U8, Calibration, Disc, Frame, Reconstruction
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ import numpy as np
 from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import family_of
-from tacshade_edge.studies.evaluate.work import Timing
+from tacshade_edge.studies.evaluate.work import Timing, family_of
 
 TABLE_I = {
     "cube": (0.9120, 78.63),

@@ -14,8 +14,7 @@ from support.trade_points import point
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import tradeoff
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.tradeoff.grid import Setting
-from tacshade_edge.studies.tradeoff.measure import Point
+from tacshade_edge.studies.tradeoff.measure import Point, Setting
 from tacshade_edge.studies.tradeoff.report import settings_block
 from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 

@@ -22,7 +22,7 @@ from tacshade_edge.simulator.press import OBJECTS, Press, distance_mm
 from tacshade_edge.simulator.render import PinProfile, Renderer, lattice_print
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
-from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE
+from tacshade_edge.studies.evaluate.work import PRESS_NOISE
 from tacshade_edge.types import F64
 from tools.studies.command import stated_press
 

@@ -31,7 +31,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.simulator.truth import Truth, shear_mm, skin_points
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.sensors import REFERENCE_NOISE, REFERENCES, SCENE_NOISE, reconstructor
+from tacshade_edge.studies.evaluate.work import REFERENCE_NOISE, REFERENCES, SCENE_NOISE, reconstructor
 from tacshade_edge.studies.tables import csv_text, grouped, summary
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.third_family.domes import (

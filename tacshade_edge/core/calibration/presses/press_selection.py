@@ -1,4 +1,6 @@
-"""Select the presses for a calibration's fit"""
+"""Select the presses for a calibration's fit: not those that disagree with their stated values, or with what all the
+other presses predict.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,14 @@ class LeftOut:
 
 
 def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> LeftOut:
-    """Fit all presses robustly, and predict each from the others."""
+    """Fit all presses robustly, and predict each from the others.
+
+    This is sharper than a reconstruction because the indenter and its place are known: the travel from first touch is a
+    power law of what the image shows. Iteration by P. W. Holland and R. E. Welsch (Comm. Stat. A 6, 1977) with P. J.
+    Huber's weights (Ann. Math. Stat. 35, 1964), here 0 beyond `OUTLIER_DEVIATIONS`; A. E. Hoerl and R. W. Kennard's
+    pull (Technometrics 12, 1970), here towards usual weights; leave-one-out residuals from the leverage by D. M. Allen
+    (Technometrics 16, 1974).
+    """
     scale = skin_scale(geometry)
     features = _features(observations, geometry)
     depth_mm = np.array([o.depth_mm for o in observations])

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
 
-from tacshade_edge.core.calibration.reference.following import (
+from tacshade_edge.core.calibration.reference.references import (
     COMMON_GREY,
     PATCH_GREY,
+    PROFILE,
     Distance,
     Followed,
     beyond,
@@ -19,7 +20,6 @@ from tacshade_edge.core.calibration.reference.following import (
     follow,
     g_change,
 )
-from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.frame_check.camera import Drift
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
