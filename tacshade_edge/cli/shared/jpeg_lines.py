@@ -1,6 +1,6 @@
-"""What libjpeg writes about damaged pictures, as log messages: some cameras damage each picture a little.
+"""What libjpeg and libpng write about odd pictures, as log messages: some cameras damage each picture a little.
 
-OpenCV offers no handler for it: libjpeg writes each line with C's `stderr`, so this replaces that stream.
+OpenCV offers no handler for it: they write each line with C's `stderr`, so this replaces that stream.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _FILENO_AT = 14 * ctypes.sizeof(ctypes.c_void_p)
 
 def _write(_cookie: int | None, data: int, size: int) -> int:
     for line in ctypes.string_at(data, size).splitlines(keepends=True):
-        if b"JPEG" in line:
-            _log.warning("libjpeg: %s", line.decode(errors="replace").strip())
+        if b"JPEG" in line or line.startswith(b"libpng"):
+            _log.warning("%s%s", "libjpeg: " * (b"JPEG" in line), line.decode(errors="replace").strip())
         else:
             with contextlib.suppress(OSError):
                 os.write(2, line)
@@ -43,7 +43,7 @@ _stream: list[int] = []
 
 
 def log_jpeg_lines() -> None:
-    """Log what libjpeg writes from now on; what other C code writes goes to stderr as before. Needs glibc."""
+    """Log what they write from now on; what other C code writes goes to stderr as before. Needs glibc."""
     if _stream or not _is_glibc():
         return
     libc: Any = ctypes.CDLL(None)

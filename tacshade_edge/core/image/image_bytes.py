@@ -24,7 +24,7 @@ SIDE_MAX_PX: Final = 8192
 _ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 _TAIL_BYTES: Final = 1024
 _DEEP: Final = (b"\x89PNG", b"II*\0", b"MM\0*", b"P2", b"P3", b"P5", b"P6")  # may have 16 bits per pixel
-_DARK_GREY: Final = 16
+_DARK_GREY, _HOT_PART = 16, 0.001  # a dark image's hot pixels do not count
 
 # OpenCV's own lines on stderr would add to our one.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -45,26 +45,31 @@ def decode_image(data: bytes, flags: int) -> U8:
     if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
         expected = f"expected at most {SIDE_MAX_PX} px per side and {PIXELS_MAX >> 20} Mi px in total"
         raise DecodeError(f"found {width}x{height} px, {expected}")
+    if data.startswith((b"P2", b"P3")):
+        data += b"\n"  # OpenCV reads no number that ends the file
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         image = None
     if image is None or image.shape[:2] != (height, width):
         raise DecodeError(f"found {len(data)} bytes that are damaged or not an image, expected a whole image")
-    if data.startswith(_DEEP) and int(image.max()) < _DARK_GREY:
+    if data.startswith(_DEEP) and np.count_nonzero(image >= _DARK_GREY) <= image.size * _HOT_PART:
         _check_depth(cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH))
     return np.asarray(image, np.uint8)
 
 
 def _check_depth(image: NDArray[Any] | None) -> None:
     """Refuse 16-bit pixels that hold values of 9 to 12 bits: their upper 8 bits would be nearly black."""
-    most = 0 if image is None or image.dtype != np.uint16 else int(image.max())
-    if most:
+    most = 0 if image is None or image.dtype != np.uint16 else int(np.quantile(image, 1 - _HOT_PART, method="lower"))
+    if 0 < most < 1 << 12:
         bits = 10 if most < 1 << 10 else 12
         raise DecodeError(
             f"found values up to {most} in 16-bit pixels, expected the full 16 bits; "
             f"multiply {bits}-bit values by {1 << 16 - bits}"
         )
+
+
+_SEVERAL: Final = "found several pages or an animation, expected a file of a single image"
 
 
 def _size_px(data: bytes) -> tuple[int, int] | None:
@@ -81,11 +86,19 @@ def _png(data: bytes) -> tuple[int, int] | None:
     at, kind = 8, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
-        if (kind == b"IHDR") != (at == 8) or kind == b"acTL" or at + 12 + length > len(data):  # acTL: an animation
+        if (kind == b"IHDR") != (at == 8) or at + 12 + length > len(data):
             return None
+        if kind == b"acTL":
+            raise DecodeError(_SEVERAL)
         at += 12 + length
-    width, height = struct.unpack_from(">2I", data, 16)
+    width, height, bits = struct.unpack_from(">2IB", data, 16)
+    _check_bits(bits)
     return width, height
+
+
+def _check_bits(bits: int) -> None:
+    if bits < 8:
+        raise DecodeError(f"found {bits} bits per pixel, too few grey levels for a skin, expected 8 or 16")
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
@@ -108,49 +121,68 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 
 def _bmp(data: bytes) -> tuple[int, int]:
     (header_bytes,) = struct.unpack_from("<I", data, 14)
-    width, height = struct.unpack_from("<2H" if header_bytes == 12 else "<2i", data, 18)
+    width, height, _, bits = struct.unpack_from("<4H" if header_bytes == 12 else "<2i2H", data, 18)
+    _check_bits(bits)
     return abs(width), abs(height)  # negative if upside down
 
 
 _PNM_GAP = rb"(?:\s|#[^\n]*\n)+"
-_PNM_SIZE = re.compile(rb"P[2356]" + _PNM_GAP + rb"(\d{1,9})" + _PNM_GAP + rb"(\d{1,9})\s")
+_PNM_SIZE = re.compile(rb"P[2356]" + 3 * (_PNM_GAP + rb"(\d{1,9})") + rb"\s")
 _PNM_HEADER_BYTES = 1024
 
 
 def _pnm(data: bytes) -> tuple[int, int] | None:
     found = _PNM_SIZE.match(data[:_PNM_HEADER_BYTES])
+    if found and int(found[3]) not in (255, 65535):  # OpenCV ignores it
+        raise DecodeError(f"found {int(found[3])} as the greatest value of a pixel, expected 255 or 65535")
     return (int(found[1]), int(found[2])) if found else None
 
 
-_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILES, _TIFF_FORMAT = 256, 257, (322, 323), 339
-_TIFF_NOT_WHOLE = 2, 3  # signed, floating-point
+_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_ORIENTATION, _TIFF_FORMAT = 254, 256, 257, 258, 274, 339
+_TIFF_TILES = 322, 323
+_TIFF_TAGS = (_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_ORIENTATION, _TIFF_FORMAT, *_TIFF_TILES)
+_TIFF_SHORT, _TIFF_THUMBNAIL, _TIFF_NOT_WHOLE = 3, 1, (2, 3)  # signed, floating-point
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
     """The size from the first directory (TIFF 6.0, section 2)."""
     order = "<" if data.startswith(b"II") else ">"
-    (at,) = struct.unpack_from(f"{order}I", data, 4)
-    (entries,) = struct.unpack_from(f"{order}H", data, at)
-    found: dict[int, int] = {}
-    for entry in range(at + 2, at + 2 + 12 * entries, 12):
-        tag, kind = struct.unpack_from(f"{order}2H", data, entry)
-        (count,) = struct.unpack_from(f"{order}I", data, entry + 4)
-        at = entry + 8 if count <= 2 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
-        if tag == _TIFF_FORMAT and struct.unpack_from(f"{order}H", data, at)[0] in _TIFF_NOT_WHOLE:
-            raise DecodeError("found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits")
-        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT, *_TIFF_TILES):
-            (value,) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, entry + 8)
-            found[tag] = max(value, found.get(tag, 0))
+    found, following = _tiff_directory(data, order, struct.unpack_from(f"{order}I", data, 4)[0])
+    if found.get(_TIFF_FORMAT) in _TIFF_NOT_WHOLE:
+        raise DecodeError("found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits")
+    if (orientation := found.get(_TIFF_ORIENTATION, 1)) != 1:  # OpenCV would turn it, unlike a JPEG
+        raise DecodeError(f"found a TIFF with orientation {orientation}, expected 1 or none")
+    if following and not _tiff_directory(data, order, following)[0].get(_TIFF_KIND, 0) & _TIFF_THUMBNAIL:
+        raise DecodeError(_SEVERAL)
+    _check_bits(found.get(_TIFF_BITS, 1))
     if any(found.get(tag, 0) > SIDE_MAX_PX for tag in _TIFF_TILES):
         return None
     return found.get(_TIFF_WIDTH, 0), found.get(_TIFF_HEIGHT, 0)
+
+
+def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], int]:
+    """The first value of each of `_TIFF_TAGS`, the greatest of a repeated one; where the next directory is, or 0."""
+    (entries,) = struct.unpack_from(f"{order}H", data, at)
+    found: dict[int, int] = {}
+    for entry in range(at + 2, at + 2 + 12 * entries, 12):
+        tag, kind, count = struct.unpack_from(f"{order}2HI", data, entry)
+        form, size = (f"{order}H", 2) if kind == _TIFF_SHORT else (f"{order}I", 4)
+        value_at = entry + 8 if size * count <= 4 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
+        if tag in _TIFF_TAGS:
+            found[tag] = max(struct.unpack_from(form, data, value_at)[0], found.get(tag, 0))
+    return found, struct.unpack_from(f"{order}I", data, at + 2 + 12 * entries)[0]
+
+
+_WEBP_ANIMATED = 2
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:
     """The size from the first chunk (RFC 9649, sections 2.5 to 2.7)."""
     kind = data[8:16]
     if kind == b"WEBPVP8X":
-        low = struct.unpack_from("<6B", data, 24)
+        flags, *low = struct.unpack_from("<B3x6B", data, 20)
+        if flags & _WEBP_ANIMATED:
+            raise DecodeError(_SEVERAL)
         return (low[0] | low[1] << 8 | low[2] << 16) + 1, (low[3] | low[4] << 8 | low[5] << 16) + 1
     if kind == b"WEBPVP8L":
         (bits,) = struct.unpack_from("<I", data, 21)

@@ -187,8 +187,8 @@ def is_halved(calibration: Calibration, profile: Profile) -> bool:
 
 
 def halved_image(grey: U8) -> U8:
-    """Means over 2x2 px, rounded half up, without the last row or column of an odd side."""
-    return halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
+    """Means over 2x2 px, rounded half up, without the last row or column of an odd side; one of 1 px stays whole."""
+    return grey if min(grey.shape) < 2 else halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
 
 
 def grid_of_whole(grid: Grid) -> Grid:

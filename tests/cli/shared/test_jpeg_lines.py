@@ -1,4 +1,4 @@
-"""What libjpeg writes about damaged pictures."""
+"""What libjpeg and libpng write about odd pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 import pytest
 
 PROGRAM = """
-import ctypes, logging
+import ctypes, logging, struct, zlib
 import cv2, numpy as np
 from tacshade_edge.cli.shared.logs import start_logging
 
@@ -17,6 +17,10 @@ data = bytearray(cv2.imencode(".jpg", np.arange(240 * 320, dtype=np.uint32).asty
 data[-2:-2] = b"\\0" * 7
 for _ in range(100):
     assert cv2.imdecode(np.frombuffer(data, np.uint8), 0) is not None
+png = cv2.imencode(".png", np.zeros((9, 9), np.uint8))[1].tobytes()
+profile = b"iCCPx" + bytes(2) + b"junk"
+chunk = struct.pack(">I", len(profile) - 4) + profile + struct.pack(">I", zlib.crc32(profile))
+assert cv2.imdecode(np.frombuffer(png[:33] + chunk + png[33:], np.uint8), 0) is not None
 libc = ctypes.CDLL(None)
 libc.fputs(b"from another library\\n", ctypes.c_void_p.in_dll(libc, "stderr"))
 """
@@ -26,6 +30,7 @@ def test_a_camera_that_damages_every_picture_does_not_flood_the_log() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=120, check=True)
     lines = done.stderr.splitlines()
     assert 1 <= sum("libjpeg: Corrupt JPEG data" in line for line in lines) < 20, lines[:5]
+    assert any(" libpng warning: iCCP" in line for line in lines), lines[-5:]
     assert "left out" in done.stderr
     assert "from another library" in lines
 

@@ -191,8 +191,8 @@ def changed(form: str, at: int, value: bytes) -> bytes:
 
 
 def tiff(width: int, height: int) -> bytes:
-    entries = b"".join(struct.pack("<2H2I", tag, 4, 1, value) for tag, value in ((256, width), (257, height)))
-    return b"II*\0" + struct.pack("<IH", 8, 2) + entries + bytes(4)
+    entries = b"".join(struct.pack("<2H2I", tag, 4, 1, value) for tag, value in ((256, width), (257, height), (258, 8)))
+    return b"II*\0" + struct.pack("<IH", 8, 3) + entries + bytes(4)
 
 
 JPEG_SIZE_AT = WHOLE[".jpg"].index(b"\xff\xc0") + 5
