@@ -42,7 +42,9 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     skin_radius_mm: Annotated[float, Meta(ge=1, le=200, description="radius of the undeformed skin")]
     visible_half_angle_deg: Annotated[float, Meta(ge=5, le=85, description="of the visible circle, at the centre")]
-    polarity: Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")]
+    polarity: (
+        Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")] | None
+    ) = None
     camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None
     alpha: Annotated[float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")] = 15.0
     binarisation: Literal["adaptive", "global", "otsu"] | None = None

@@ -46,9 +46,9 @@ _QUESTIONS = {
     "skin_radius_mm": "Radius of the undeformed skin, mm:",
     "visible_half_angle_deg": "Half angle of the part of the skin that the camera sees, at the skin's centre, degrees:",
     "camera_distance_mm": "Distance of the lens behind the skin's centre, mm (Enter if unknown):",
-    "polarity": "Does a press show more white (bright, as on a TacShade) or less (dark, as on a TacTip)?",
+    "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
 }
-_MAY_BE_EMPTY = "camera_distance_mm"
+_MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
 _PRINTER_WRITE_S = 2.0
 """A busy board must not look like a printer that hangs: that stops the presses with M112."""
 _CAPTURING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capture is taking references and presses")
@@ -259,7 +259,7 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
             while key not in values:
                 terminal.ask(question)
                 text = terminal.wait()
-                if not text and key == _MAY_BE_EMPTY:
+                if not text and key in _MAY_BE_EMPTY:
                     break
                 try:
                     values[key] = check_value(key, text)

@@ -25,6 +25,7 @@ from tacshade_edge.core.calibration.reference.references import (
     ASSUMED_NOISE_GREY,
     check_references,
     rezero,
+    shown_polarity,
     with_reference,
 )
 from tacshade_edge.core.calibration.refit import refit_profile
@@ -70,8 +71,12 @@ def calibrate(
     unloaded = _unloaded(sensor, greys)
     warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
     if not presses:
+        if sensor.polarity is None:
+            warnings += (f"polarity: assumed {unloaded.polarity}; only presses show it, and only `paper` uses it",)
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
-    selection = select_presses(unloaded, presses, (networks or {}).get(GRADED_PROFILE))
+    graded_network = (networks or {}).get(GRADED_PROFILE)
+    selection = select_presses(unloaded, presses, graded_network, polarity_stated=sensor.polarity is not None)
+    unloaded = replace(unloaded, polarity=selection.polarity)
     geometry = unloaded.geometry
     # The paper's α for this sensor scales a normalised height of 1 to the mean pressed depth.
     alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px
@@ -131,7 +136,7 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
         geometry=Geometry(sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc),
-        polarity=sensor.polarity,
+        polarity=sensor.polarity or "bright",
         binarisation=sensor.binarisation or choose_binarisation(mean, disc, pitch_px),
         image_height_px=mean.shape[0],
         image_width_px=mean.shape[1],
@@ -142,7 +147,8 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
         alpha=sensor.alpha,
         flange_T_sensor=sensor.flange_T_sensor,
     )
-    return with_reference(calibration, greys)
+    made = with_reference(calibration, greys)
+    return made if sensor.polarity else replace(made, polarity=shown_polarity(made))
 
 
 def inputs_of(sensor: Sensor, references: Sequence[U8], presses: Sequence[KnownPress]) -> Inputs:

@@ -11,14 +11,14 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """The user's description of a sensor (SENSOR.yaml); `visible_circle`, `binarisation` and, for ``--fit``, the sizes
-    in `print_mm` (by their keys in the file) override what `calibrate` finds in the references.
+    """The user's description of a sensor (SENSOR.yaml); `polarity`, `visible_circle`, `binarisation` and, for
+    ``--fit``, the sizes in `print_mm` (by their keys in the file) override what `calibrate` finds.
     """
 
     skin_radius_mm: float
     camera_distance_mm: float | None
     visible_half_angle_deg: float
-    polarity: Polarity
+    polarity: Polarity | None
     alpha: float = 15.0
     binarisation: Binarisation | None = None
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE

@@ -20,6 +20,7 @@ from tacshade_edge.core.calibration.observation import (
 from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, as_seen
 from tacshade_edge.core.calibration.presses.table_check import (
     axes_hint,
+    other_polarity,
     polarity_hint,
     shown_sizes,
     size_mistake,
@@ -33,7 +34,7 @@ from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F64, Calibration, Geometry, frozen
+from tacshade_edge.types import F64, Calibration, Geometry, Polarity, frozen
 
 OUTLIER_DEVIATIONS = 4.0
 """A press is an outlier beyond this many standard deviations of all presses."""
@@ -227,13 +228,19 @@ class Selection:
     presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
     warnings: tuple[str, ...]
+    polarity: Polarity
 
 
-def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
+def select_presses(
+    unloaded: Calibration,
+    presses: Sequence[KnownPress],
+    network: Network | None = None,
+    polarity_stated: bool = True,
+) -> Selection:
     """Leave out presses without contact, with a moved camera, or that disagree with their stated values; the network of
-    `GRADED_PROFILE` shows whether and where something touches, and wrong stated sizes. Raises ConfigError on a gross
-    mistake in the whole table or the sensor's description, and on too few presses or too many left out, all of which
-    it names.
+    `GRADED_PROFILE` shows whether and where something touches, and wrong stated sizes. A polarity that was not stated
+    is the one that fits the places. Raises ConfigError on a gross mistake in the whole table or the sensor's
+    description, and on too few presses or too many left out, all of which it names.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")
@@ -265,8 +272,13 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
             if judged.changed:
                 warnings.append(f"{press.name}: {judged.changed} since the references were taken")
     observations = [observe_press(preprocessor, mapper, press) for press in pressed]
-    if len(observations) >= MIN_PRESSES and (hint := _polarity_mistake(unloaded, pressed, observations)):
-        raise ConfigError(hint)
+    polarity = unloaded.polarity
+    if len(observations) >= MIN_PRESSES:
+        otherwise = _seen_otherwise(unloaded, pressed)
+        if hint := polarity_hint(observations, otherwise, polarity):
+            if polarity_stated:
+                raise ConfigError(hint)
+            observations, polarity = otherwise, other_polarity(polarity)
     observations = [as_seen(observed, view) for observed, view in zip(observations, views, strict=True)]
     if len(observations) >= MIN_PRESSES and (
         mistakes := _gross_mistakes(geometry, pressed, views if viewer else None, observations)
@@ -282,18 +294,15 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         tuple(pressed[k] for k in usable),
         tuple(observations[k] for k in usable),
         (*warnings, *(f"{reason}; left out" for reason in left_out)),
+        polarity,
     )
 
 
-def _polarity_mistake(
-    unloaded: Calibration, presses: Sequence[KnownPress], observations: Sequence[PressObservation]
-) -> str:
-    """A hint at the other polarity, from where the skin brightens; empty if the stated one fits."""
-    other = replace(unloaded, polarity="dark" if unloaded.polarity == "bright" else "bright")
-    preprocessor = Preprocessor(other, PROFILE)
+def _seen_otherwise(unloaded: Calibration, presses: Sequence[KnownPress]) -> list[PressObservation]:
+    """The observations with the other polarity, where the skin brightens instead of darkening."""
+    preprocessor = Preprocessor(replace(unloaded, polarity=other_polarity(unloaded.polarity)), PROFILE)
     mapper = GreyMapper(preprocessor)
-    seen_otherwise = [observe_press(preprocessor, mapper, press) for press in presses]
-    return polarity_hint(observations, seen_otherwise, unloaded.polarity)
+    return [observe_press(preprocessor, mapper, press) for press in presses]
 
 
 def _gross_mistakes(

@@ -177,6 +177,11 @@ def table_hints(observations: Sequence[PressObservation], geometry: Geometry) ->
     return tuple(hint for hint in (_unit_hint(observations, geometry), axes_hint(observations, geometry)) if hint)
 
 
+def other_polarity(polarity: Polarity) -> Polarity:
+    """The opposite."""
+    return "dark" if polarity == "bright" else "bright"
+
+
 def polarity_hint(observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity) -> str:
     """A hint at the other polarity, if the places of the same presses then fit clearly better; empty otherwise."""
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
@@ -189,7 +194,7 @@ def polarity_hint(observations: Sequence[PressObservation], other: Sequence[Pres
     if else_error > min(_error_mm(found, axes) for axes in _AXES.values()):
         return ""  # other axes explain it better
     return (
-        f"SENSOR.yaml: polarity: found {stated}, expected {'dark' if stated == 'bright' else 'bright'}: "
+        f"SENSOR.yaml: polarity: found {stated}, expected {other_polarity(stated)}: "
         f"the places fit within {else_error:.1f} mm with it, not {error:.1f} mm"
     )
 

@@ -24,7 +24,7 @@ from tacshade_edge.core.image.white import Binariser, BoxSums, Integrator, odd
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, U8, Bool, Calibration, Disc
+from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Polarity
 
 # A patch is a load if it differs from its ring by this much (grey levels, and deviations of the disc, because a fine
 # pattern makes every ring uneven), is this large (mm² on the nominal skin) and alone: a square lattice makes four such
@@ -46,6 +46,8 @@ NOISE_REFERENCES = 3
 LOADED_PART = 0.23
 # The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
+# Part of the disc's radius in which markers are seen from above.
+_MIDDLE = 0.6
 
 
 def reference_load_reason(preprocessor: Preprocessor) -> str:
@@ -127,6 +129,18 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
         reference_grey=pattern.mean_image(greys),
         noise_grey=noise,
     )
+
+
+def shown_polarity(calibration: Calibration) -> Polarity:
+    """The likely polarity of a reference: dark if its white is islands in one dark piece, as a TacTip's pins are.
+
+    Markers that are islands look alike, so only presses are certain.
+    """
+    disc, white = calibration.geometry.disc, calibration.reference_white > 127
+    middle = disc_mask(white.shape[0], white.shape[1], replace(disc, radius_px=_MIDDLE * disc.radius_px))
+    pieces = cv2.connectedComponentsWithStats((~white & middle).astype(np.uint8), connectivity=4)[2][1:]
+    largest = pieces[:, cv2.CC_STAT_AREA].max(initial=0)
+    return "dark" if largest > np.count_nonzero(middle) / 2 else "bright"
 
 
 def check_references(

@@ -107,6 +107,29 @@ def test_a_wrong_polarity_is_named(model: SensorModel, found: Polarity, expected
         calibrate(replace(sensor_of(model), polarity=found), references(model), presses(model))
 
 
+@pytest.mark.parametrize("name", ["5", "other:31"])  # the markers of the last look like a TacTip's pins
+def test_an_unstated_polarity_is_found(name: str) -> None:
+    model = sensor_name(name).make().model
+    unstated = replace(sensor_of(model), polarity=None)
+    found = calibrate(unstated, *_frames(name)).calibration
+    assert found.polarity == sensor_of(model).polarity
+
+
+def test_without_presses_the_polarity_is_a_guess() -> None:
+    found = calibrate(replace(sensor_of(TACTIP), polarity=None), references(TACTIP))
+    assert found.calibration.polarity == "dark"
+    assert found.warnings == ("polarity: assumed dark; only presses show it, and only `paper` uses it",)
+
+
+def _frames(name: str) -> tuple[list[U8], list[KnownPress]]:
+    sensor = sensor_name(name).make()
+    free = [sensor.frame((), k).image for k in range(3)]
+    return free, [
+        KnownPress(f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, radius_mm) in enumerate(ball_presses(sensor.model, 14, 3))
+    ]
+
+
 def test_a_true_table_is_not_refused() -> None:
     assert calibrate(sensor_of(HALF), references(), presses(), networks=ACCURATE).warnings == ()
     without_places = [replace(p, x_mm=None, y_mm=None) for p in presses()]
@@ -117,12 +140,7 @@ def test_a_true_table_is_not_refused() -> None:
 @pytest.mark.parametrize("name", ["5", "21", "other:31"])
 def test_true_tables_of_other_sensors_are_not_refused(name: str) -> None:
     """And diameters are, on each."""
-    sensor = sensor_name(name).make()
-    free = [sensor.frame((), k).image for k in range(3)]
-    table = [
-        KnownPress(f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
-        for k, (p, radius_mm) in enumerate(ball_presses(sensor.model, 14, 3))
-    ]
+    sensor, (free, table) = sensor_name(name).make(), _frames(name)
     assert calibrate(sensor_of(sensor.model), free, table, networks=ACCURATE).calibration.factors
     doubled = [replace(p, radius_mm=2 * p.radius_mm) for p in table]
     with pytest.raises(ConfigError, match=r"are they diameters\?"):
