@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses, unloaded
+from support.calibrated_sensor import HALF, PIN_LENGTH_MM, calibrated, found_prints, presses, unloaded
 from support.networks import float_network
 
 from tacshade_edge.core.depth.learned import KNOWN
@@ -41,9 +41,10 @@ def short_fit(
     from tacshade_edge.fitting import fit as module
 
     monkeypatch.setattr(module, "FULL", module.Effort(domes=2, held_out=1, skins=2, views=1, steps=steps))
-    monkeypatch.setattr(module, "_SAY_S", 0.0)
+    monkeypatch.setattr(module, "_SAY_S", 0.05)
+    monkeypatch.setattr(module, "identify", lambda *_: found_prints())
     say = said.append if isinstance(said, list) else said
-    return module.fit(without_presses(), [], say, {"pin_length_mm": 3.04}, folder)
+    return module.fit(without_presses(), [], say, {"pin_length_mm": PIN_LENGTH_MM}, folder)
 
 
 @pytest.mark.slow
@@ -83,10 +84,9 @@ def test_an_interrupted_fit_leaves_no_worker_and_goes_on(monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 def test_balls_show_the_mechanics() -> None:
-    from tacshade_edge.fitting.identify import identify
     from tacshade_edge.fitting.twin import Mechanics, likely_mechanics
 
-    found = identify(without_presses())[0]
+    found = found_prints()[0]
     shown = likely_mechanics(without_presses(), found, presses())
     assert shown.seen
     assert shown.decay_mm[0] < HALF.skin_decay_mm < shown.decay_mm[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+
+if TYPE_CHECKING:
+    from tacshade_edge.fitting.identify import Found
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.
@@ -76,6 +80,18 @@ def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
         return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
 
     return once_for_all_workers(f"calibrated {model!r} {count}", made)
+
+
+PIN_LENGTH_MM = 3.04
+
+
+@cache
+def found_prints() -> list[Found]:
+    """The prints that `calibrate --fit` finds in `HALF`'s reference, their pins' length stated (ten seconds)."""
+    from tacshade_edge.fitting.identify import identify
+
+    stated = {"pin_length_mm": PIN_LENGTH_MM}
+    return once_for_all_workers("found prints", lambda: identify(calibrated(), stated))
 
 
 @cache

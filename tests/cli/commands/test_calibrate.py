@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, simulated, unloaded
+from support.calibrated_sensor import calibrated, found_prints, pressed, simulated, unloaded
 from support.networks import fitted_with
 from support.sensor_files import write_files
 
@@ -284,6 +284,7 @@ def test_a_fit_goes_into_the_file(
     from tacshade_edge.fitting import fit
 
     monkeypatch.setattr(fit, "FULL", fit.Effort(domes=2, held_out=1, skins=2, views=1, steps=2))
+    monkeypatch.setattr(fit, "identify", lambda *_: found_prints())
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--fit", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
