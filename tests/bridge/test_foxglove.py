@@ -27,8 +27,7 @@ from support.published_sensor import CRC, PublishedSensor, bump
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
 from tacshade_edge.types import F64, Pose, Touch
-from tools.testbed.bridge_process import BridgeProcess
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")

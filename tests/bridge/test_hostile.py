@@ -15,8 +15,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from tacshade_edge.protocol import messages
-from tools.testbed.bridge_process import BridgeProcess
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import stretched, wait_until
 
 pytestmark = [

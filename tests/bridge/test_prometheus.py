@@ -12,8 +12,7 @@ import pytest
 from support.published_sensor import PublishedSensor, health
 
 from tacshade_edge.bridge.roster import SENSORS_MAX
-from tools.testbed.bridge_process import BridgeProcess
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience, wait_until
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")

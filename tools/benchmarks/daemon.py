@@ -137,7 +137,7 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
     )
     pause = threading.Event()
     began_s = time.monotonic()
-    worker = subprocess.Popen([sys.executable, "-m", program, config, shown, str(args.fps)])
+    worker = subprocess.Popen([sys.executable, "-m", program, config, str(args.fps), shown])
     try:
         if name in RECORDING:
             record(config, args.seconds, RECORDING[name])

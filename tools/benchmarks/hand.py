@@ -124,16 +124,13 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
     kinds = ["contact" if k < PRESSED else "free" for k in range(len(names))]
     rings = [str(folder / f"{kind}.npy") for kind in kinds]
     if row in ("hand", "objects"):
-        commands = [
-            [sys.executable, "-m", "tools.testbed.ring_hand", str(folder / f"{row}.yaml"), str(args.fps), *rings]
-        ]
+        commands = [[sys.executable, "-m", RING_DAEMON, str(folder / f"{row}.yaml"), str(args.fps), *rings]]
     else:
         program, ending = (RING_DAEMON, "npy") if row == "apart" else (NULL_DAEMON, "pickle")
         commands = [
-            [sys.executable, "-m", program, str(folder / f"{name}.yaml"), str(folder / f"{kind}.{ending}")]
+            [sys.executable, "-m", program, str(folder / f"{name}.yaml"), str(args.fps), f"{folder}/{kind}.{ending}"]
             for name, kind in zip(names, kinds, strict=True)
         ]
-        commands = [[*command, str(args.fps)] for command in commands]
     began_s, pause = time.monotonic(), threading.Event()
     workers = [subprocess.Popen(command) for command in commands]
     try:

@@ -35,7 +35,7 @@ def stamped(message: bytes, seq: int, t_ns: int) -> bytes:
 
 def main() -> None:
     """Publish until SIGTERM."""
-    config, ready, fps = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    config, fps, ready = Path(sys.argv[1]), float(sys.argv[2]), Path(sys.argv[3])
     payloads: list[tuple[bytes, bytes] | None] = pickle.loads(ready.read_bytes())
     period_ns = round(1e9 / fps)
     ledger = FrameLedger()

@@ -30,9 +30,8 @@ from tacshade_edge.demo.hand import make_calibration
 from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.tables.frame_table import read_table
-from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.daemon_rig import draw_rings, memory_mb
-from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.mqtt_rig import BridgeProcess, Broker, Subscriber
 from tools.testbed.robot import PtyRobot
 
 FINGERS = tuple(f"finger{k}" for k in range(5))
@@ -271,7 +270,7 @@ def run(seconds: float) -> tuple[str, list[str]]:
         rings = [folder / f"{'contact' if k < PRESSED else 'free'}.npy" for k in range(len(FINGERS))]
         words = list(map(str, (settings(folder, broker.port, folder / "line"), FPS, *rings)))
         with (folder / "log").open("w") as log:
-            hand = subprocess.Popen([sys.executable, "-m", "tools.testbed.ring_hand", *words], stderr=log)
+            hand = subprocess.Popen([sys.executable, "-m", "tools.testbed.ring_daemon", *words], stderr=log)
         stack.callback(hand.kill)
         bridges = {
             kind: stack.enter_context(BridgeProcess(kind, broker.port, folder / f"{kind}.log"))

@@ -1,18 +1,35 @@
-"""The command `run` on a ring of images in memory; a process of ``tools/benchmarks/daemon.py``."""
+"""The command `run` with sensors that have rings of images in memory; a process of the benchmarks and the soak test."""
 
 import signal
 import sys
 from pathlib import Path
 
 from tacshade_edge.cli.entry import leave
-from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon import hand as process
+from tacshade_edge.daemon.app import App, Siblings
+from tacshade_edge.daemon.hand import Lines
+from tacshade_edge.daemon.supervisor import Supervisor
 from tacshade_edge.factories import calibrations
-from tacshade_edge.settings import load
+from tacshade_edge.settings import Document, Hand, load_all, load_hand
 from tools.testbed.daemon_rig import RingSource
 
-config, ring, fps = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
-document = load(config)
-app = App(document, RingSource(ring, fps), calibrations.load_calibration(document))
-signal.signal(signal.SIGTERM, lambda *_: app.stop())
-app.run()
-leave(0)
+config, fps = Path(sys.argv[1]), float(sys.argv[2])
+rings = {name: RingSource(Path(name), fps) for name in sys.argv[3:]}  # in the order of the sensors, read once
+documents, hand = load_all(config), load_hand(config)
+lines = Lines(hand.fingers if hand else ())
+ring = dict(zip((document.settings.sensor_id for document in documents), sys.argv[3:], strict=True))
+
+
+def work(part: Document | Hand) -> int:
+    """Run the hand's process or a sensor's."""
+    if isinstance(part, Hand):
+        process.run(part, lines)
+        return 0
+    name = part.settings.sensor_id
+    app = App(part, rings[ring[name]], calibrations.load_calibration(part), Siblings(lines.fingers.get(name)))
+    signal.signal(signal.SIGTERM, lambda *_: app.stop())
+    app.run()
+    return 0
+
+
+leave(Supervisor(documents, hand, lines.end).run(work) if len(documents) > 1 else work(documents[0]))

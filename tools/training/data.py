@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tools.training.kinds import kind_of
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
+from tools.training.samples import kind_of
 
 
 @dataclass(slots=True, eq=False)

@@ -24,9 +24,8 @@ import numpy as np
 
 from tacshade_edge.studies.parallel import workers
 from tools.studies import command
-from tools.training.kinds import shards
 from tools.training.outside import VIEWS
-from tools.training.samples import sensor_samples
+from tools.training.samples import sensor_samples, shards
 
 FIRST_SEED = 100_000
 SENSORS_PER_SHARD = 24
