@@ -251,7 +251,9 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     arcs = [b for b in pad.bulges if isinstance(b, pads.Arc) and b.to_deg - b.from_deg >= 360]
     circles = [(a.x_mm, a.y_mm, a.radius_mm, a.width_mm) for a in arcs]
     raster = {"z_mm": pads.raster(pad, _TRUTH_STEP_MM), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": _TRUTH_STEP_MM}
-    _write_npz(folder / "PAD.npz", {**raster, "bars_mm": np.array(bars), "circles_mm": np.array(circles)})
+    _write_npz(
+        folder / "PAD.npz", {**raster, "bars_mm": np.reshape(bars, (-1, 5)), "circles_mm": np.reshape(circles, (-1, 4))}
+    )
     print(f"{folder}: {len(poses)} presses, POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml")
     at = shlex.quote(str(folder))
     print(f"next:\n{_calibrate(at, '')}")

@@ -103,7 +103,7 @@ def read_known(path: Path) -> KnownSurface:
 
 def _shapes(npz: Mapping[str, Any], key: str, columns: int) -> F64:
     """Bars or circles (N, columns); none without the key. Raises DecodeError."""
-    if key not in npz:
+    if key not in npz or not npz[key].size:  # `simulate` has written an empty list as (0,)
         return np.zeros((0, columns))
     shapes = numbers(npz, key, 2).astype(float)
     lengths = np.hypot(*(shapes[:, 2:4] - shapes[:, :2]).T) if columns == 5 else shapes[:, 2]
