@@ -17,6 +17,7 @@ import numpy as np
 
 from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import SUFFIXES, images_in, read_image
 from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
 from tacshade_edge.storage.recording.recording_content import wall_minus_t_ns
@@ -159,7 +160,7 @@ class Recording:
     def _files(self) -> Iterator[tuple[Row, Path | U8]]:
         rows = self._rows
         if rows is not None and self._path.is_dir():
-            yield from ((row, self._path / row.image) for row in rows)
+            yield from ((row, named_file(self._path, row.image)) for row in rows)
             return
         images, video = look_at(self._path)
         for index, image in enumerate(images):

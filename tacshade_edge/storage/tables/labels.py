@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import png
@@ -83,11 +84,12 @@ class LabelFolder:
         if not self.table.exists():
             return []
         labelled = read_labels(self.table, self._path)
-        if missing := next((one for one in labelled if not one.path.is_file()), None):
-            raise ConfigError(
-                f"{missing.where}: image: found no file {missing.path}, expected one in the table's folder"
-            )
-        return [LabelRow(str(one.path.relative_to(self._path)), one.known, one.group) for one in labelled]
+        folder = self._path.resolve()
+        for one in labelled:
+            if not (one.path.is_file() and one.path.resolve().is_relative_to(folder)):
+                expected = "expected a file in the table's folder"
+                raise ConfigError(f"{one.where}: image: found no file {shown(one.path)} in it, {expected}")
+        return [LabelRow(str(one.path.resolve().relative_to(folder)), one.known, one.group) for one in labelled]
 
     def add_image(self, image: U8) -> str:
         """Write an image and return its name."""

@@ -6,7 +6,6 @@ import codecs
 import csv
 import io
 import itertools
-import math
 import re
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -25,6 +24,7 @@ NUMBER_MAX: Final = 1e6
 CRC_COLUMN: Final = "crc32"
 
 _SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
+_NUMBER: Final = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
 _BYTES_A_ROW_MAX: Final = 512  # on average
 _ROW_CHARS_MAX: Final = 1 << 16
 
@@ -148,7 +148,8 @@ def read_columns(
         text = _text(path, stream)
         first = next(text, "")
         stated = _SEPARATOR.fullmatch(first)
-        delimiter = stated[1] if stated else max(",;\t", key=first.count)
+        names = {each: {name.strip('" \t\r\n') for name in first.split(each)} for each in ",;\t"}
+        delimiter = stated[1] if stated else max(names, key=lambda each: len(names[each].intersection(required)))
         read = _lines(path, itertools.chain(["\n" if stated else first], text), delimiter, rows_max)
         lines = [(line, cells) for line, row in read if any(cells := [cell.strip() for cell in row])]
     line0, header = lines[0] if lines else (1, [])
@@ -173,12 +174,9 @@ def read_columns(
 
 def number(where: str, column: str, text: str) -> float:
     """Parse a number from -`NUMBER_MAX` to `NUMBER_MAX`. Raises ConfigError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    if not _NUMBER.fullmatch(text):  # float() reads 1_0 and the digits of other scripts too
         raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number")
+    value = float(text)
     if abs(value) > NUMBER_MAX:
         most = f"{NUMBER_MAX:g}"
         raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number from -{most} to {most}")

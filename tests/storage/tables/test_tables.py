@@ -10,7 +10,7 @@ from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.tables.capture_folder import read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
-from tacshade_edge.storage.tables.labels import read_labels
+from tacshade_edge.storage.tables.labels import LabelFolder, read_labels
 from tacshade_edge.storage.tables.pressed_file import HEADER, PressedFile
 from tacshade_edge.storage.tables.tables import number, read_columns, read_rows
 
@@ -23,7 +23,21 @@ def test_rows_know_their_line(tmp_path: Path) -> None:
 
 def test_a_number_is_finite() -> None:
     assert number("t.csv:2", "x_mm", "-1e-3") == -0.001
-    for text in ("", "nan", "inf", "1,5", "x"):
+    for text in (
+        "",
+        "nan",
+        "inf",
+        "1,5",
+        "x",
+        "1_0",
+        "0x10",
+        "\u0661\u0662",
+        "\uff11",
+        "\xbd",
+        "\u22122",
+        "1e400x",
+        "1'000",
+    ):
         with pytest.raises(ConfigError, match=r"^t\.csv:2: x_mm: found .*, expected a number$"):
             number("t.csv:2", "x_mm", text)
 
@@ -140,6 +154,22 @@ def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> No
 def test_a_mistake_is_told_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         read_labels(table(tmp_path, text), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/dev/zero", "~/a.png", "none.png", "a\0.png"])
+def test_an_earlier_run_has_its_images_in_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    folder = LabelFolder(tmp_path / "labels")
+    for place in (tmp_path, tmp_path / "labels"):
+        place.mkdir(exist_ok=True)
+        (place / "a.png").touch()
+    folder.table.write_text("image,depth_mm\na.png,1\n./a.png,2\n")
+    assert [row.image for row in folder.rows()] == ["a.png", "a.png"]
+    folder.table.write_text(f"image,depth_mm\n{name},1\n")
+    with pytest.raises(ConfigError, match=r"LABELS\.csv:2: image: found no file"):
+        folder.rows()
 
 
 def replace(path: Path, *rows: str) -> None:
