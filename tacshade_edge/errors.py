@@ -49,14 +49,17 @@ class ConfigError(TacshadeError):
     text : str
     code : ReasonCode, optional
     others : sequence of str
-        Further mistakes in the same file, one line each.
+        Further mistakes in the same file, one line each; a line counts those after the first 50.
     """
 
     _code = ReasonCode.CONFIG
+    _OTHERS_MAX: ClassVar[int] = 50
 
     def __init__(self, text: str, *, code: ReasonCode | None = None, others: Sequence[str] = ()) -> None:
         super().__init__(text, code=code)
-        self.others = tuple(others)
+        self.others = tuple(others[: self._OTHERS_MAX])
+        if more := len(others) - len(self.others):
+            self.others += (f"and {more} more mistakes",)
 
 
 class DeviceError(TacshadeError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import sys
 from collections.abc import Callable, Sequence
@@ -10,9 +11,10 @@ from typing import Any
 
 from tacshade_edge.cli.parser import Parser
 from tacshade_edge.errors import ConfigError, TacshadeError
-from tacshade_edge.quoting import escaped
+from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.version import installed_version
 
+_MISTAKES = (errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
 _CHARS_MAX = 4000  # length of a printed error, which may list all expected values
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 
@@ -100,5 +102,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output closed it, as `| head` does
         sys.stderr.close()
         return EXIT_FAILED
+    except OSError as error:  # of a path that Python could not even look at: too long a name, a closed folder
+        if error.filename is None or args.command == "run":
+            raise
+        print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)
+        return EXIT_CONFIG if error.errno in _MISTAKES else EXIT_FAILED
     except KeyboardInterrupt:
         return 130

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -41,16 +43,22 @@ def require_free(folder: Path, floor_bytes: int | None = None) -> None:
 
 
 def part(path: Path) -> Path:
-    """The path of an incomplete file."""
+    """The path of an incomplete file. Raises OSError for a path without a name, such as ``/``."""
+    if not path.name:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     return path.with_name(path.name + ".part")
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
     """Write a file under a temporary name, then rename it. Raises OSError and then leaves nothing behind.
 
-    With `sync` it waits for the disk; whoever writes many files calls `sync` later.
+    A device or pipe, such as ``/dev/null``, is refused, because the file would replace it. With `sync` it waits for the
+    disk; whoever writes many files calls `sync` later.
     """
     partial = part(path)
+    with contextlib.suppress(FileNotFoundError):
+        if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
+            raise OSError(errno.EEXIST, "found no regular file", str(path))
     try:
         with partial.open("wb") as stream:
             stream.writelines((data,) if isinstance(data, bytes) else data)

@@ -29,6 +29,17 @@ def usage(words: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(
+    "words",
+    ["replay LONG --out x", "evaluate --calibration c.npz --images LONG", "export --to csv LONG", "replay no --out x"],
+)
+def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words.replace("LONG", "n" * 300).split()) == EXIT_CONFIG
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.endswith(("File name too long\n", "found nothing, expected a recording\n"))
+
+
+@pytest.mark.parametrize(
     ("words", "said"),
     [
         ("calibrat", "did you mean calibrate?"),

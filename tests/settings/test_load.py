@@ -151,6 +151,7 @@ def test_mistakes_have_an_end(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load(write(tmp_path, "".join(f"k{n}: 1\n" for n in range(1000))))
     assert len(caught.value.others) == 49
+    assert ConfigError("a", others=["b"] * 1000).others[49:] == ("b", "and 950 more mistakes")
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:

@@ -35,6 +35,19 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_is_named(tmp_path: Pat
         raise OSError("no name")
 
 
+def test_a_file_never_replaces_a_device_or_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/null")
+    for name in ("pipe", "link"):
+        with pytest.raises(OSError, match="found no regular file"):
+            write_whole(tmp_path / name, b"data")
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_char_device()
+    for path in (Path("/"), Path()):
+        with pytest.raises(IsADirectoryError):
+            write_whole(path, b"data")
+
+
 _HOLD = """
 import sys
 from pathlib import Path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import time
 from pathlib import Path
@@ -17,13 +18,15 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.atomic_files import disk_errors
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import images_in, read_image
 from tacshade_edge.storage.pictures import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
 from tacshade_edge.storage.runs.run_files import summary
 from tacshade_edge.types import Frame, Reconstruction
 
 SHEET = "contact-sheet.png"
+
+_SUMMARY = "summary.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}  # all, or evenly spread
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / _SUMMARY).unlink(missing_ok=True)  # it describes all files beside it
         for index, path in enumerate(images):
             try:
                 image = read_image(path)
@@ -77,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         if tiles:
             write_picture(args.out / SHEET, contact_sheet(tiles))
         text = json.dumps(records, indent=2) + "\n"
-        (args.out / "summary.json").write_text(text, encoding="utf-8")
+        write_whole(args.out / _SUMMARY, text.encode())
     progress.end()
     if args.json:
         print(text, end="")
@@ -108,16 +112,17 @@ def _write(path: Path, result: Reconstruction) -> None:
     height = result.height
     more = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
     untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
-    with path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            **{name: array for name, array in more.items() if array is not None},
-            height_mm=height.height_mm,
-            contact=height.contact,
-            untrusted=untrusted,
-            row0=height.row0,
-            col0=height.col0,
-            step_px=height.step_px,
-            points_mm=result.cloud.points_mm,
-            labels=result.cloud.labels.astype(np.int32),
-        )
+    stream = io.BytesIO()
+    np.savez_compressed(
+        stream,
+        **{name: array for name, array in more.items() if array is not None},
+        height_mm=height.height_mm,
+        contact=height.contact,
+        untrusted=untrusted,
+        row0=height.row0,
+        col0=height.col0,
+        step_px=height.step_px,
+        points_mm=result.cloud.points_mm,
+        labels=result.cloud.labels.astype(np.int32),
+    )
+    write_whole(path, stream.getvalue(), sync=False)

@@ -12,8 +12,10 @@ from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
 from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.quoting import shown
 from tacshade_edge.settings import load
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
@@ -67,6 +69,8 @@ def _mistake(args: argparse.Namespace) -> str:
         return "--against: found no --out DIR to compare with, expected both"
     if args.input is None:
         return "" if against is not None else "expected INPUT, or --out DIR and --against DIR to compare two runs"
+    if args.calibration is None and not args.input.exists():
+        raise ConfigError(f"{shown(args.input)}: found nothing, expected a recording")
     if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
         return f"expected --calibration CAL.npz: {args.input} has no {CALIBRATION_NAME} of its own"
     if args.mqtt is not None and args.config is not None:
