@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
+from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, plug_webcam, unload_driver
 
 from tacshade_edge.devices.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -24,11 +24,15 @@ DROPS_OF = 150
 """Frames in which drops are counted."""
 
 
-@pytest.fixture
-def webcam() -> Iterator[None]:
-    load_driver(*WEBCAM)
+@pytest.fixture(scope="module", autouse=True)
+def no_driver_left() -> Iterator[None]:
     yield
     unload_driver()
+
+
+@pytest.fixture
+def webcam() -> None:
+    plug_webcam()
 
 
 def source(**changes: object) -> V4l2Source:
@@ -286,10 +290,10 @@ def test_a_file_in_its_place_is_the_devices_fault(camera: V4l2Source) -> None:
 
 
 def test_a_node_that_does_not_capture() -> None:
+    unload_driver()
     load_driver("node_types=0x100", "num_outputs=1", "output_types=1")
     with pytest.raises(
         DeviceError,
         match=r"^camera /dev/video0: this device node is for output or metadata and captures no video",
     ):
         source().open()
-    unload_driver()

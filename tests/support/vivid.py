@@ -22,12 +22,27 @@ def kept_fps() -> int:
     return fps
 
 
+_untouched: tuple[str, ...] = ()
+"""The options of the loaded driver, as long as no control of it was changed."""
+
+
 def load_driver(*options: str) -> None:
+    global _untouched
     subprocess.run(["modprobe", "vivid", "n_devs=1", *options], check=True)
+    _untouched = options
+
+
+def plug_webcam() -> None:
+    """Where all is emulated it takes seconds to load the driver: one on which nothing was changed stays."""
+    if _untouched != WEBCAM:
+        unload_driver()
+        load_driver(*WEBCAM)
 
 
 def unload_driver() -> None:
     """The driver is busy until the last user of its node has let go."""
+    global _untouched
+    _untouched = ()
 
     def unloaded() -> bool:
         return subprocess.run(["modprobe", "-r", "vivid"], capture_output=True, check=False).returncode == 0
@@ -36,4 +51,6 @@ def unload_driver() -> None:
 
 
 def control(text: str) -> None:
+    global _untouched
+    _untouched = ()
     subprocess.run(["v4l2-ctl", "-d", NODE, "-c", text], check=True, capture_output=True)

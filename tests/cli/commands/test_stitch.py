@@ -230,7 +230,8 @@ def test_a_start_that_is_far_off_is_refused(tmp_path: Path) -> None:
         report_flange(tmp_path, start=shift(30, 0, 0) @ TRUE, moves=False)
 
 
-@pytest.mark.parametrize(("presses", "turns", "code"), [(50, TURNS_DEG, 0), (15, ONE, 78)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("presses", "turns", "code"), [(50, TURNS_DEG, 0), (12, ONE, 78)])
 def test_a_recording_in_which_the_robot_moves_in_contact(tmp_path: Path, presses: int, turns: Turns, code: int) -> None:
     """Its clock is behind that of the frames."""
 

@@ -24,6 +24,7 @@ def changed_part(image: U8, model: SensorModel = HALF, **of: Any) -> float:
     return ContactGate(seen).changed_part(seen.preprocess(seen.grey(image)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [HALF, FULL, TACTIP], ids=["half", "full", "tactip"])
 def test_the_gate_closes_on_a_skin_at_rest_and_opens_on_a_faint_press(model: SensorModel) -> None:
     free = unloaded(model)
@@ -115,6 +116,7 @@ def test_a_press_that_creeps_in_is_felt_as_early(profile: str) -> None:
     assert known >= 3
 
 
+@pytest.mark.slow
 def test_light_that_fades_is_reported_as_early() -> None:
     images = [camera_faults.gain(unloaded(), 1 - 0.02 * k) for k in range(40)]
     made = fresh("balanced")

@@ -43,6 +43,7 @@ def test_the_camera_is_found_wherever_it_went(
     assert found.zoom == pytest.approx(zoom, abs=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_px", [0.0, 1.5, 6.0])
 def test_a_press_does_not_hide_or_feign_a_move(reference: Look, shift_px: float) -> None:
     for press in presses()[::4]:

@@ -143,6 +143,7 @@ def test_a_value_has_at_most_eight_characters(value: float | None, text: str) ->
     assert event_text(TouchSeen(1, 2, True, (("x_mm", value),))) == f"EVT TOUCH 1 2 x_mm={text}"
 
 
+@pytest.mark.slow
 def test_no_event_is_longer_than_what_is_reckoned_with_and_than_a_line() -> None:
     for count in (1, NAMES_MAX):
         for names, value in product(combinations(QUANTITIES, count), (-1000.0001, None)):

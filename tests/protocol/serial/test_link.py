@@ -287,6 +287,7 @@ def chunks(data: bytes, rng: random.Random, mean: int = 40) -> list[bytes]:
     return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["ASCII", "BIN"])
 @pytest.mark.parametrize("alphabet", [bytes(range(256)), b"#0123456789 *ABCDEFHILMNOPSTY\n\r\0P"])
 def test_a_quarter_of_a_million_bytes_of_garbage(mode: str, alphabet: bytes) -> None:

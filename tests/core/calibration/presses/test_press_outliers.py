@@ -22,6 +22,7 @@ GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 Change = Callable[[PressObservation, float], PressObservation]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_true_depths_agree_and_false_ones_do_not(seed: int) -> None:
     """0.25 mm is what a `good` calibration may have (quality.py); depths 0.6 mm off must not pass for one."""

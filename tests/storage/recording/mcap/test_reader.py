@@ -76,6 +76,7 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
         assert told[0].isprintable()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("packing", ["zstd", "lz4"])
 def test_a_few_bytes_never_become_millions_of_records(tmp_path: Path, packing: str) -> None:
     inside = message(b"", 5) * (CHUNK_BYTES_MAX // len(message(b"", 5)))
