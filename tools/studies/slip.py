@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.slip [--profile NAME...] [--sensors SEED,... | --final] [--out DIR]
+    .venv/bin/python -m tools.studies.slip [--profile NAME...] [--sensors SEED,... | --final] [--held SECONDS]
 """
 
 from __future__ import annotations
@@ -288,10 +288,11 @@ def text(found: Sequence[Seen]) -> str:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Slips and releases over time.", "default,5,11", FINAL_SENSORS[:3])
+    parser.add_argument("--held", type=float, default=600.0, metavar="SECONDS", help="over all held objects (600)")
     args = parser.parse_args(words)
     if any(sensor.family != "tacshade" for sensor in args.sensors):
         parser.error("--sensors: only the family tacshade moves in time")
-    plan = Plan(args.sensors, tuple(args.profile))
+    plan = Plan(args.sensors, tuple(args.profile), held_s=args.held)
     parts = [(speed, what) for speed in (0.0, *plan.speeds_mm_s) for what in plan.objects]
     work = partial(command.over_sensors, partial(rows, plan), plan.sensors, parts)
     command.run(parser, args, "slip", work, text, {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow})
