@@ -82,7 +82,7 @@ def test_nothing_is_guessed_where_no_word_is_near(capsys: pytest.CaptureFixture[
             "doctor a.png --bundle b.zip",
             "doctor --calibration c.npz",
         ),
-        *("replay", "replay rec --out o", "replay --out o", "replay x --calibration c", "replay --against o"),
+        *("replay", "replay . --out o", "replay --out o", "replay x --calibration c", "replay --against o"),
         *("replay x --calibration c --mqtt h:1 --config c", "replay x --calibration c --out o --loop 0"),
         *("replay x --calibration c --out o --against ./o", "replay x --calibration c --mqtt h:1 --sensor-id a/b"),
         *("replay x --calibration c --play --out o", "reconstruct --calibration c.npz --out o"),
