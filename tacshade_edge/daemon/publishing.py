@@ -4,22 +4,103 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import cv2
+import msgspec
 import numpy as np
 
 from tacshade_edge.daemon.ledger import Counts, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol import messages, wire
-from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.topics import decode_status
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip
 from tacshade_edge.version import installed_version
+
+_ENTITIES: Final = {
+    "depth": "sensor",
+    "contact": "binary_sensor",
+    "state": "sensor",
+    "profile": "select",
+    "rezero": "button",
+}
+
+
+def discovery_topics(sensor_id: str) -> tuple[str, ...]:
+    """The full topics of the announcements."""
+    return tuple(f"homeassistant/{component}/{sensor_id}/{name}/config" for name, component in _ENTITIES.items())
+
+
+def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
+    """The announcements by topic, one for each entity (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery).
+
+    `profiles` are the names that ``req/profile`` accepts.
+    The depth is rounded to 0.1 mm because `contact` comes with every frame and Home Assistant stores each value that
+    differs from the previous one.
+    """
+    base = f"tacshade/{sensor_id}"
+    common = {
+        "device": {
+            "identifiers": [f"tacshade_{sensor_id}"],
+            "name": f"TacShade {sensor_id}",
+            "model": "TacShade",
+            "sw_version": version,
+        },
+        "origin": {"name": "tacshade-edge", "sw_version": version},
+        "availability": [
+            {
+                "topic": f"{base}/state",
+                "value_template": "{{ 'online' if value in ('online', 'degraded') else 'offline' }}",
+            }
+        ],
+    }
+    entities: dict[str, dict[str, Any]] = {
+        "depth": {
+            "name": "Depth",
+            "state_topic": f"{base}/contact",
+            "value_template": "{{ value_json.depth_max_mm | round(1) }}",
+            "unit_of_measurement": "mm",
+            "device_class": "distance",
+            "state_class": "measurement",
+            "suggested_display_precision": 1,
+        },
+        "contact": {
+            "name": "Contact",
+            "state_topic": f"{base}/contact",
+            "value_template": "{{ 'ON' if value_json.contact else 'OFF' }}",
+        },
+        "state": {
+            "name": "State",
+            "state_topic": f"{base}/state",
+            "entity_category": "diagnostic",
+        },
+        "profile": {
+            "name": "Profile",
+            "state_topic": f"{base}/info",
+            "value_template": "{{ value_json.choice }}",
+            "command_topic": f"{base}/req/profile",
+            "command_template": '{"profile": "{{ value }}"}',
+            "qos": 1,
+            "options": [name for name in profiles if name != "paper"],  # a baseline of studies
+            "entity_category": "config",
+        },
+        "rezero": {
+            "name": "Re-zero",
+            "command_topic": f"{base}/req/reference",
+            "payload_press": "{}",
+            "qos": 1,
+            "entity_category": "config",
+        },
+    }
+    return {
+        topic: msgspec.json.encode({**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common})
+        for topic, name in zip(discovery_topics(sensor_id), _ENTITIES, strict=True)
+    }
+
 
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
 

@@ -17,10 +17,10 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import ReferenceTaken
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
+from tacshade_edge.storage.atomic_files import FolderLock
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.storage.calibration.reference_file import StoredReference
-from tacshade_edge.storage.folder_lock import FolderLock
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
 _log = logging.getLogger(__name__)

@@ -13,13 +13,14 @@ import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Raster, Stitcher
+from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionEnded, SessionStatus
 from tacshade_edge.protocol.topics import StitchedMap
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.quoting import quoted
-from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
@@ -102,14 +103,6 @@ def thinned_points(raster: Raster) -> tuple[F32, float]:
     return thin.points().astype(np.float32), spacing_mm
 
 
-class RefusedError(Exception):
-    """A command that cannot be carried out now, and why."""
-
-    def __init__(self, code: ReasonCode, text: str) -> None:
-        super().__init__(text)
-        self.reason = Reason(code, text)
-
-
 class Session:
     """An open session, for one thread at a time; its stitcher has the presses of its file."""
 
@@ -121,14 +114,14 @@ class Session:
 
     @classmethod
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
-        """Begin a session in a new folder, by default named by the time in UTC. Raises RefusedError or DeviceError."""
+        """Begin a session in a new folder, by default named by the time in UTC. Raises DeviceError."""
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if not re.match(RECORD_NAME, name):
-            raise RefusedError(ReasonCode.BAD_NAME, f"found {quoted(name)}, expected {RECORD_NAME_RULE}")
+            raise DeviceError(f"found {quoted(name)}, expected {RECORD_NAME_RULE}", code=ReasonCode.BAD_NAME)
         with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
-            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} already exists")
+            raise DeviceError(f"{folder / name} already exists", code=ReasonCode.NAME_TAKEN)
         info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id)
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 
@@ -164,14 +157,14 @@ class Session:
         return SessionStatus(self.name, self.presses, self.points, tiles, self.revision, missed)
 
     def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
-        """Add a press; it is on the disk when this returns. Raises RefusedError (MAP_FULL) or DeviceError."""
+        """Add a press; it is on the disk when this returns. Raises DeviceError (MAP_FULL if it has no room)."""
         # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
         self._file.append(points, base_T_sensor)
         try:
             self._stitcher.add(points, base_T_sensor)
         except ValueError as error:
             self._file.take_back()
-            raise RefusedError(ReasonCode.MAP_FULL, str(error)) from None
+            raise DeviceError(str(error), code=ReasonCode.MAP_FULL) from None
         self.revision += 1
         return PressAdded(self.presses, frame_seq, len(points.points_mm))
 

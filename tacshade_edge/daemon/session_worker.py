@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Literal
@@ -20,8 +21,8 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints, RestDetector, press_points
 from tacshade_edge.daemon.observer import STITCHED_S, WAITING_MAX, FrameObserver, FrameResult, FrameWaiters
 from tacshade_edge.daemon.requests import Reply
-from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session
-from tacshade_edge.errors import TacshadeError
+from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session
+from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
@@ -35,8 +36,7 @@ from tacshade_edge.protocol.results import (
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
-from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.storage.folder_lock import FolderLock
+from tacshade_edge.storage.atomic_files import FolderLock, disk_errors
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 if TYPE_CHECKING:
@@ -71,17 +71,8 @@ class SessionState:
 
 
 @dataclass(frozen=True, slots=True)
-class _Command:
-    action: str
-    name: str
-    reply: SessionReply
-
-
-@dataclass(frozen=True, slots=True)
-class _Add:
-    points: PressPoints
-    frame: Frame  # without its image
-    flange_T_sensor: Rigid
+class _Job:
+    run: Callable[[], SessionResult]
     reply: SessionReply
 
 
@@ -110,7 +101,7 @@ class SessionWorker:
         self._publish_map = publish_map
         self._with_pose = with_pose
         self._automatic = automatic
-        self._jobs: SimpleQueue[_Command | _Add | Literal["stop"]] = SimpleQueue()
+        self._jobs: SimpleQueue[_Job | Literal["stop"]] = SimpleQueue()
         self._adds: FrameWaiters[SessionReply] = FrameWaiters("presses are already waiting for a frame")
         self._lock = threading.Lock()
         self._rest = RestDetector()
@@ -149,7 +140,7 @@ class SessionWorker:
         elif self._jobs.qsize() >= WAITING_MAX:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
         else:
-            self._jobs.put(_Command(action, name, reply))
+            self._jobs.put(_Job(partial(self._command, action, name), reply))
 
     def observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
         """Add the frame if an ``ADD`` waits for it, or if its contact has come to rest."""
@@ -173,7 +164,8 @@ class SessionWorker:
         points = press_points(result.height, calibration.geometry)
         flange_T_sensor = from_seven(calibration.flange_T_sensor)
         # The same frame twice would be the same press twice.
-        self._jobs.put(_Add(points, replace(frame, image=_NO_IMAGE), flange_T_sensor, replies[0]))
+        add = partial(self._add, points, replace(frame, image=_NO_IMAGE), flange_T_sensor)
+        self._jobs.put(_Job(add, replies[0]))
         for reply in replies[1:]:
             reply(Reason(ReasonCode.BUSY, f"frame {result.seq} is already being added"))
 
@@ -218,9 +210,7 @@ class SessionWorker:
                 continue
             outcome: SessionResult | Reason
             try:
-                outcome = self._add(job) if isinstance(job, _Add) else self._command(job)
-            except RefusedError as refused:
-                outcome = refused.reason
+                outcome = job.run()
             except TacshadeError as error:
                 outcome = error.reason
             self._state = self._current_state()
@@ -232,7 +222,7 @@ class SessionWorker:
         if self._folder_lock is not None:
             self._folder_lock.release()
 
-    def _next_job(self) -> _Command | _Add | Literal["stop"] | None:
+    def _next_job(self) -> _Job | Literal["stop"] | None:
         """The next job; None when it is time to publish a deferred map."""
         try:
             return self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
@@ -264,19 +254,19 @@ class SessionWorker:
         if self._folder_lock is None:
             self._folder_lock = FolderLock(self._folder, f"sensor {self._sensor_id}")
 
-    def _command(self, command: _Command) -> SessionResult:
+    def _command(self, action: str, name: str) -> SessionResult:
         session = self._session
-        if command.action == "BEGIN":
-            return self._begin(command.name)
-        if command.action == "STATUS":
+        if action == "BEGIN":
+            return self._begin(name)
+        if action == "STATUS":
             return NoSession() if session is None else session.status(self._missed)
         if session is None:
-            raise RefusedError(ReasonCode.NO_SESSION, "no session is open; begin one first")
-        if command.action == "END":
+            raise DeviceError("no session is open; begin one first", code=ReasonCode.NO_SESSION)
+        if action == "END":
             return self._end(session)
-        if command.action == "ABORT":
+        if action == "ABORT":
             return self._abort(session)
-        raise RefusedError(ReasonCode.NO_SESSION, "the session has only just started; add the press again")
+        raise DeviceError("the session has only just started; add the press again", code=ReasonCode.NO_SESSION)
 
     def _begin(self, name: str) -> SessionResult:
         if self._folder_lock is None:
@@ -288,9 +278,9 @@ class SessionWorker:
             self._clear_session()
         if self._session is not None:
             text = f"session {self._session.name} is open; end or abort it first"
-            raise RefusedError(ReasonCode.BUSY, text)
+            raise DeviceError(text, code=ReasonCode.BUSY)
         if self._calibration is None:
-            raise RefusedError(ReasonCode.NO_FRAME, "no frame has been reconstructed yet")
+            raise DeviceError("no frame has been reconstructed yet", code=ReasonCode.NO_FRAME)
         session = Session.begin(self._folder, name, self._calibration, self._sensor_id)
         self._session, self._rest = session, RestDetector()
         with self._lock:
@@ -299,15 +289,15 @@ class SessionWorker:
         _log.info("started stitching session %s", session.name)
         return SessionBegun(session.name)
 
-    def _add(self, add: _Add) -> PressAdded:
-        session, seq = self._session, add.frame.seq
+    def _add(self, points: PressPoints, frame: Frame, flange_T_sensor: Rigid) -> PressAdded:
+        session, seq = self._session, frame.seq
         if session is None:
-            raise RefusedError(ReasonCode.NO_SESSION, "the session has ended")
-        if len(add.points.points_mm) == 0:
-            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing is touching the sensor")
-        if (pose := self._with_pose(add.frame).pose) is None:
-            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose at the frame's time is unknown")
-        added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
+            raise DeviceError("the session has ended", code=ReasonCode.NO_SESSION)
+        if len(points.points_mm) == 0:
+            raise DeviceError(f"frame {seq}: nothing is touching the sensor", code=ReasonCode.NO_CONTACT)
+        if (pose := self._with_pose(frame).pose) is None:
+            raise DeviceError(f"frame {seq}: the robot's pose at the frame's time is unknown", code=ReasonCode.NO_POSE)
+        added = session.add(points, of_pose(pose) @ flange_T_sensor, seq)
         with self._lock:
             self._counts["presses"] += 1
         self._publish(session.map_revision())
@@ -315,7 +305,7 @@ class SessionWorker:
 
     def _end(self, session: Session) -> SessionEnded:
         if session.presses == 0:
-            raise RefusedError(ReasonCode.NO_PRESS, "the session has no presses; use ABORT to end it")
+            raise DeviceError("the session has no presses; use ABORT to end it", code=ReasonCode.NO_PRESS)
         self._state = replace(self._current_state(), ending=True)
         ended, final_map = session.finish(self._missed)
         self._map_folder = str(session.folder)

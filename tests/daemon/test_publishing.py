@@ -18,7 +18,15 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.observer import FrameResult
 from tacshade_edge.daemon.profiles import ActiveProfile
-from tacshade_edge.daemon.publishing import STATUS, WIDTH_PX, Health, HomeAssistant, Preview, Publisher
+from tacshade_edge.daemon.publishing import (
+    STATUS,
+    WIDTH_PX,
+    Health,
+    HomeAssistant,
+    Preview,
+    Publisher,
+    discovery_topics,
+)
 from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.daemon.references import References
 from tacshade_edge.daemon.robot import Robot
@@ -27,7 +35,6 @@ from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.home_assistant import discovery_topics
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Pose, Reconstruction, Slip
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber

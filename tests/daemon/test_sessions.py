@@ -28,9 +28,10 @@ from tacshade_edge.core.stitching.stitcher import Raster, StitchedMap, Stitcher
 from tacshade_edge.daemon import session as map_publisher
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.daemon.robot import Robot as SerialRobot
-from tacshade_edge.daemon.session import MapPublisher, MapRevision, RefusedError, Session, thinned_points
+from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session, thinned_points
 from tacshade_edge.daemon.session_worker import SessionRequests, SessionWorker
 from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.errors import DeviceError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.requests import Request, encode_reply
 from tacshade_edge.protocol.results import (
@@ -157,7 +158,7 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
 def test_a_full_map_refuses_and_an_aborted_session_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = begun(tmp_path)
     monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.POINTS_MAX", 2000)
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(DeviceError) as caught:
         session.add(press_of(POSES[0], 0), POSES[0], 13)
     assert caught.value.reason.code == ReasonCode.MAP_FULL
     assert session.status(1).presses == 3

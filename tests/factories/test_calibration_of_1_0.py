@@ -19,7 +19,7 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.inference import network
 from tacshade_edge.inference.onnx_weights import values_of, with_values
 from tacshade_edge.storage import npz
-from tacshade_edge.storage.calibration import calibration_file, calibration_inputs
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.npz import Content
 
 STORED = Path(__file__).parents[1] / "golden/calibration-1.0.npz"
@@ -91,7 +91,7 @@ def test_a_version_with_other_networks_recalibrates_by_itself(
 def test_one_without_its_inputs_opens_too_and_says_what_to_do(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     content = npz.read(str(path), "calibration", "calibrate")
     meta = {key: value for key, value in content.meta.items() if key != "inputs"}
-    arrays = {name: array for name, array in content.arrays.items() if name not in calibration_inputs.ARRAYS}
+    arrays = {name: array for name, array in content.arrays.items() if name not in calibration_file.INPUT_ARRAYS}
     path.write_bytes(Content(meta, arrays).packed())
     assert calibrations.load(path).factors == {}
     (line,) = caplog.messages

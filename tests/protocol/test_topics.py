@@ -17,10 +17,10 @@ from support.published_sensor import calibration, health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.publishing import discovery_topics, encode_discovery
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import codec, messages, topics
 from tacshade_edge.protocol.broker_address import host_and_port
-from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
 

@@ -9,8 +9,7 @@ import pytest
 
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
-from tacshade_edge.storage.folder_lock import FolderLock
+from tacshade_edge.storage.atomic_files import FolderLock, disk_errors, part, sync, write_whole
 
 
 @pytest.mark.parametrize("wait", [True, False])
@@ -51,7 +50,7 @@ def test_a_file_never_replaces_a_device_or_pipe(tmp_path: Path) -> None:
 _HOLD = """
 import sys
 from pathlib import Path
-from tacshade_edge.storage.folder_lock import FolderLock
+from tacshade_edge.storage.atomic_files import FolderLock
 lock = FolderLock(Path(sys.argv[1]), "sensor left")
 print("held", flush=True)
 sys.stdin.read()

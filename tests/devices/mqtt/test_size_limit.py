@@ -11,7 +11,7 @@ from support.hostile_broker import HostileBroker, packet
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto
 
 from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
-from tacshade_edge.devices.mqtt.size_limit import SizeLimit
+from tacshade_edge.devices.mqtt.outgoing import SizeLimit
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import Broker, Subscriber

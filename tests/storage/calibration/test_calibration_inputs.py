@@ -10,9 +10,8 @@ from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.calibration import calibration_file, calibration_inputs, reference_file
-from tacshade_edge.storage.calibration.calibration_file import with_crc
-from tacshade_edge.storage.calibration.calibration_inputs import IMAGES, TRIANGLES, pack, unpack
+from tacshade_edge.storage.calibration import calibration_file, reference_file
+from tacshade_edge.storage.calibration.calibration_file import IMAGES, TRIANGLES, pack_inputs, unpack_inputs, with_crc
 from tacshade_edge.storage.calibration.reference_file import StoredReference, belongs_to, path_beside
 from tacshade_edge.storage.npz import Content
 from tacshade_edge.types import U8
@@ -43,14 +42,14 @@ INPUTS = Inputs(SENSOR, (image(7), image(8)), PRESSES, (image(9),))
 
 
 def read(meta: dict[str, object], arrays: dict[str, object], shape: tuple[int, int] = SHAPE) -> Inputs:
-    found = unpack({"inputs": meta}, {**arrays, "reference_grey": np.zeros(shape, np.uint8)})
+    found = unpack_inputs({"inputs": meta}, {**arrays, "reference_grey": np.zeros(shape, np.uint8)})
     assert found is not None
     return found
 
 
 @pytest.mark.parametrize("inputs", [INPUTS, Inputs(SENSOR, (image(7),))])
 def test_what_is_packed_comes_back(inputs: Inputs) -> None:
-    packed = pack(inputs)
+    packed = pack_inputs(inputs)
     assert packed is not None
     assert set(packed[1]) == {IMAGES, TRIANGLES}
     found = read(*packed)
@@ -68,7 +67,7 @@ def test_what_is_packed_comes_back(inputs: Inputs) -> None:
 
 
 def test_an_indenter_is_kept_once() -> None:
-    packed = pack(INPUTS)
+    packed = pack_inputs(INPUTS)
     assert packed is not None
     assert len(packed[1][TRIANGLES]) == 17
     found = read(*packed)
@@ -76,8 +75,8 @@ def test_an_indenter_is_kept_once() -> None:
 
 
 def test_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration_inputs, "BYTES_MAX", 100)
-    assert pack(INPUTS) is None
+    monkeypatch.setattr(calibration_file, "INPUT_BYTES_MAX", 100)
+    assert pack_inputs(INPUTS) is None
 
 
 @pytest.mark.parametrize(
@@ -93,14 +92,14 @@ def test_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_what_cannot_be_is_refused(damage: dict[str, object]) -> None:
-    packed = pack(INPUTS)
+    packed = pack_inputs(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match=r"[Ee]xpected|unknown field"):
         read({**packed[0], **damage}, packed[1])
 
 
 def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
-    packed = pack(INPUTS)
+    packed = pack_inputs(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match="expected a grey PNG image of 17x12 px"):
         read(*packed, (12, 17))
@@ -119,7 +118,7 @@ def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
     "array", [np.zeros(()), np.zeros(3), np.zeros((17, 3, 3), np.float32), np.full((17, 3, 3), np.nan)]
 )
 def test_other_arrays_are_refused(name: str, array: np.ndarray) -> None:
-    packed = pack(INPUTS)
+    packed = pack_inputs(INPUTS)
     assert packed is not None
     with pytest.raises(ValueError, match="expected"):
         read(packed[0], {**packed[1], name: array})
