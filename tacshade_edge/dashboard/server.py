@@ -140,7 +140,10 @@ class Pages:
         method = getattr(request, "method", "GET")  # websockets before 17 rejects all others by itself
         if method not in _METHODS:
             return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD", {"Allow": ", ".join(_METHODS)})
-        response = self._get(page, request)
+        try:
+            response = self._get(page, request)
+        except LookupError:
+            response = self._text(HTTPStatus.BAD_REQUEST, "found a header more than once, expected each once")
         if response is not None and method == "HEAD":
             response.body = b""
         return response
@@ -162,12 +165,7 @@ class Pages:
 
     def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
         """Return the response to a request without the token or to a login; None if the request may proceed."""
-        try:
-            offered, kept = access.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
-        except LookupError:
-            return self._text(
-                HTTPStatus.BAD_REQUEST, "found Authorization or Cookie more than once, expected each once"
-            )
+        offered, kept = access.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
         if path in _OPEN and offered is None:
             return None
         address, before = str((page.remote_address or ("",))[0]), tokens.wrong
@@ -185,10 +183,7 @@ class Pages:
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
             return self._text(HTTPStatus.UPGRADE_REQUIRED, "expected a WebSocket from the page")
-        try:
-            refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
-        except LookupError:  # a duplicate header
-            refused = "found Origin or Host more than once, expected each once"
+        refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
         if not refused:
             full = self._bounds.admit_page(page)
             return self._text(HTTPStatus.SERVICE_UNAVAILABLE, full) if full else None

@@ -55,7 +55,7 @@ def straight(x_mm: float, y_mm: float, z_mm: float, feed_mm_s: float) -> str:
 
 _NUMBER = rb"[+-]?(?:\d{1,6}(?:\.\d{0,6})?|\.\d{1,6})"
 _IS_POSITION = re.compile(rb"(?:echo:|//)?\s*(?:C:\s*)?X[:=]", re.IGNORECASE)
-_AXIS = re.compile(rb"(?<![A-Z])([XYZ])[:=]\s*(%b)(?=[\s,;]|[A-Z][:=]|$)" % _NUMBER, re.IGNORECASE)
+_AXIS = re.compile(rb"(?<![A-Z])([XYZ])[:=]\s*(%b)(?=[\s;]|,(?!\d)|[A-Z][:=]|$)" % _NUMBER, re.IGNORECASE)
 # What follows are motor steps or other frames of reference.
 _POSITION_END = re.compile(rb"\bcount\b|\bmachine\b", re.IGNORECASE)
 _FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(.*?)(?=[,;]?\s+[A-Z][A-Z_-]+:|$)")
@@ -87,9 +87,10 @@ _START = re.compile(rb"(?:^|.*[^ -~])start$")
 # Errors that report a damaged line: the printer requests it again in its next line.
 _ASKED_AGAIN = re.compile(rb"error:.*(?:checksum|line number)", re.IGNORECASE)
 _FAILED = re.compile(
-    rb"error:|alarm:|!!|// klipper state: (?:shutdown|disconnect)|.*unknown command|.*home .*first", re.I
+    rb"error:|alarm:|!!|// klipper state: (?:shutdown|disconnect)|.*unknown command|.*home .*first|(?:resend|rs)\b",
+    re.I,
 )
-_RESTARTED = re.compile(rb"// klipper state: (?:startup|ready)", re.IGNORECASE)
+_RESTARTED = re.compile(rb"// klipper state: (?:startup|ready)|grbl \d|smoothie$", re.IGNORECASE)
 _BUSY = re.compile(rb"(?:echo:\s*)?busy:", re.IGNORECASE)
 _OK = re.compile(rb"ok(?![a-z])", re.IGNORECASE)
 
@@ -113,7 +114,7 @@ class Resend:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The printer cannot execute the command, or has stopped."""
+    """The printer cannot execute the command, has stopped, or requests a line that cannot be read."""
 
     text: str
 
@@ -201,7 +202,7 @@ class Exchange:
         self._number = 0
         self._line = b""
         self._resends = 0
-        self._resend_wanted = False
+        self._resend_wanted = self._is_damaged = False
         self._buffer = b""
         self.is_done = True
         self.failure = ""
@@ -222,7 +223,7 @@ class Exchange:
             raise RuntimeError(f"{command}: {self.failure or 'the printer has not answered the command before it'}")
         self._number += 1
         self._line = numbered(self._number, command)
-        self._resends, self._resend_wanted = 0, False
+        self._resends, self._resend_wanted, self._is_damaged = 0, False, False
         self.is_done, self.position, self.said = False, None, ()
         return self._line
 
@@ -260,11 +261,14 @@ class Exchange:
                 self.position = answer
             case Said(text):
                 self.said = (*self.said, text)[-self._SAID_MAX :]
+                self._is_damaged |= bool(_ASKED_AGAIN.match(text.encode()))
         return b""
 
     def _take_ok(self) -> bytes:
         if self.is_done:
             self._fail("it answered although no command was open")
+        elif self._is_damaged:
+            self._fail("it reported a damaged line and did not ask for it again")
         elif self._resend_wanted:  # this Ok ends the answer to the damaged line; the resent line gets its own
             self._resend_wanted = False
             return self._line
@@ -274,6 +278,7 @@ class Exchange:
 
     def _take_resend(self, number: int) -> None:
         self._resends += 1
+        self._is_damaged = False
         if self.is_done or number != self._number:
             self._fail(f"it asked for line {number} again, but the last one was {self._number}")
         elif self._resends > _RESENDS_MAX:

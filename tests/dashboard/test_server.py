@@ -49,6 +49,8 @@ async def test_a_file_is_sent_once() -> None:
         status, again, body = await get(port, "/main.js", f"If-None-Match: {headers['etag']}")
         assert (status, body, again["etag"]) == (304, b"", headers["etag"])
         assert (await get(port, "/main.js", 'If-None-Match: "other"'))[0] == 200
+        assert (await get(port, "/main.js", *['If-None-Match: "other"'] * 2))[0] == 400
+        assert (await get(port, "/mqtt", *["Upgrade: websocket"] * 2))[0] == 400
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,12 @@ class PrinterLine:
         return False
 
     def _until_quiet(self) -> None:
-        quiet_since_s = time.monotonic()
-        while time.monotonic() - quiet_since_s < _QUIET_S:
+        began_s = quiet_since_s = time.monotonic()
+        while (now_s := time.monotonic()) - quiet_since_s < _QUIET_S:
+            if now_s - began_s > ANSWER_S:
+                raise DeviceError(
+                    f"printer {self._port.device}: found {ANSWER_S:.0f} s of unrequested lines, expected a printer"
+                )
             if data := self._port.read():
                 self._exchange.receive(data)
                 quiet_since_s = time.monotonic()

@@ -8,6 +8,8 @@ import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from support import fake_printer
 from support.fake_printer import Dialect, FakePrinter
 
 from tacshade_edge.capture.live import Terminal
+from tacshade_edge.capture.printer import line
 from tacshade_edge.capture.printer.head import Head, KeypressStop, segments
 from tacshade_edge.capture.printer.line import PrinterLine, SafetyStop, Stopped
 from tacshade_edge.devices.serial.port import SerialPort
@@ -34,7 +37,7 @@ class Rig:
     def __init__(self, printer: FakePrinter) -> None:
         self.printer = printer
         read, self.key = os.pipe()
-        self.line = PrinterLine(SerialPort(printer.port, 115200))
+        self.line = PrinterLine(SerialPort(printer.port, 115200, 5.0))
         with open(os.devnull, "w") as out:
             self.terminal = Terminal(read, out)
         self.head = Head(self.line, LIMITS, KeypressStop(self.terminal))
@@ -102,6 +105,16 @@ def test_every_firmware_keeps_its_motors_on_and_moves(
         one.printer.faults.highest_mm = 90.5
         with pytest.raises(SafetyStop, match=r"reports the head's position as"):
             one.head.to(91.0)
+
+
+def test_a_device_that_never_stops_talking_is_no_printer() -> None:
+    port: Any = SimpleNamespace(
+        device="/dev/p", open=lambda: None, write=lambda _: True, read=lambda: b"T:20.1 /0.0\nok\n", close=lambda: None
+    )
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(line, "ANSWER_S", 0.05)
+        with pytest.raises(DeviceError, match="printer /dev/p: found 0 s of unrequested lines, expected a printer"):
+            PrinterLine(port).connect()
 
 
 def test_a_printer_that_is_not_homed_is_quoted(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def touch(folder: Path, check: PressCheck, faults: Faults | None = None) -> Iter
         live, hand, line = (
             Live(source, terminal, page, None, lambda circle: None),
             KeypressStop(terminal),
-            PrinterLine(SerialPort(printer.port, 115200)),
+            PrinterLine(SerialPort(printer.port, 115200, 5.0)),
         )
         stack.callback(line.close)
         stack.enter_context(terminal.keys())
