@@ -70,6 +70,8 @@ def calibrate(
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
     warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
+    if not sensor.visible_circle and (unsure := pattern.rim_warning(unloaded.reference_grey, unloaded.geometry.disc)):
+        warnings = (unsure, *warnings)
     if not presses:
         if sensor.polarity is None:
             warnings += (f"polarity: assumed {unloaded.polarity}; only presses show it, and only `paper` uses it",)

@@ -16,13 +16,14 @@ _SIGMAS_PX = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 _WIDER = 1.6
 _LEAST_CONTRAST_GREY = 2.0
 # Neighbours in a pattern have about the same pitch and contrast; lamps, screws and reflections do not. A marker has at
-# least this many neighbours, a pattern this many markers.
+# least this many neighbours, a pattern this many markers; fewer than `_MANY` must be more even, and at least this part
+# of all blobs of half their contrast, or they are the middle of a pressed skin.
 _NEAREST = 9
 _PITCHES, _UNLIKE_PITCH, _UNLIKE_CONTRAST = 1.4, 1.4, 1.6
-_LEAST_NEIGHBOURS, LEAST_MARKERS = 3, 60
-# Standard deviation of the log ratio of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise; and the
-# rate at which a field's score falls with it.
-_MOST_UNEVEN, _EVENNESS = 0.115, 14.0
+_LEAST_NEIGHBOURS, LEAST_MARKERS, _MANY, _FEW_PART = 3, 19, 60, 0.8
+# Standard deviation of the log ratio of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise (0.06 at
+# most and 0.1 among few); and the rate at which a field's score falls with it.
+_MOST_UNEVEN, _MOST_UNEVEN_FEW, _EVENNESS = 0.115, 0.08, 14.0
 # Least part of a field's hull filled by its markers' cells: patterns fill 0.8 or more, strings in noise less.
 _LEAST_FILLED = 0.7
 # A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05 of them. A marker
@@ -41,6 +42,11 @@ class MarkerField:
     markers_px: F64
     pitch_px: float
     circle: Disc
+
+    @property
+    def hull_px(self) -> F64:
+        """Row and column of the outermost markers, (N, 2)."""
+        return np.asarray(cv2.convexHull(self.markers_px.astype(np.float32))[:, 0], np.float64)
 
     def holds(self, disc: Disc) -> bool:
         """Whether nearly all markers lie in a circle."""
@@ -119,6 +125,10 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
         return None
     inside = np.isin(one, field) & np.isin(other, field) & alike
     uneven = float(np.std(np.log(pitch[one[inside]] / pitch[other[inside]])))
+    if len(field) < _MANY:
+        alike_blobs = np.count_nonzero(contrast > 0.5 * np.median(contrast[field]))
+        if uneven > _MOST_UNEVEN_FEW or len(field) < _FEW_PART * alike_blobs:
+            return None
     return (points[field], float(np.median(pitch[field])), uneven) if uneven <= _MOST_UNEVEN else None
 
 

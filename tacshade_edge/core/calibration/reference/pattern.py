@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.reference.marker_field import find_markers
+from tacshade_edge.core.calibration.reference.marker_field import MarkerField, find_markers
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.geometry.visible_circle import LEAST_RIM_SEEN, rim_seen
 from tacshade_edge.errors import ConfigError
@@ -32,22 +32,57 @@ _SLOW_TURN = 1 / 60
 _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
 # A pattern varies along the angle, just inside its rim, by at least this (RMS, grey levels).
 _LEAST_PATTERN = 3.0
-# The variation just outside the rim must be below this part of that just inside.
-_RIM_FALL = 0.5
+# In a sector that shows the rim's end, the variation just inside is at least this part of the median sector's, and that
+# just outside at most this part of that inside. True rims end in 0.62 or more of the sectors (0.7 to 1 in whole
+# images), wrong ones and the corners of a hexagon in 0.5 or less.
+_SECTORS, _PATTERN_PART, _RIM_FALL, _ENDING = 24, 0.35, 0.6, 0.6
+# If it ends in this part, and has at least this part of the radius of the circle around the markers, what looks like
+# markers beyond it is lamps.
+_SURE, _LAMPS = 0.85, 0.75
+_LEAST_SECTORS = 10
+# The outer part of a field and what is beside it, in radii of the circle around it, by as many radii.
+_BESIDE, _BESIDE_RADII = (0.8, 1.1), 16
+# A refused circle is the likeliest one if it ends in this part; else the one around the markers is.
+_GUESSED = 0.35
 # Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field as wide as the
 # image). At the end of the texture the second is enough: the search misses some markers of a faint rim (0.52 is left on
 # a coarse one). The circle of lamps around real domes with pins in their middle is filled by 0.26 to 0.36.
 _FILLED, _HALF_FILLED = 0.75, 0.48
 
 
+class CircleNotFoundError(ConfigError):
+    """No circle is certain; `guess` is the likeliest one, None if the image shows no pattern."""
+
+    def __init__(self, why: str, guess: Disc | None = None) -> None:
+        super().__init__(f"found no visible circle in the reference: {why}")
+        self.guess = guess
+
+
 def visible_disc(grey: U8, stated: Disc | None) -> Disc:
-    """The stated circle, or else the one found. Raises ConfigError like `find_disc`."""
-    disc = stated or find_disc(grey)
+    """The stated circle, or else the one found. Raises ConfigError if that fails, with the line of SENSOR.yaml that
+    states the likeliest circle.
+    """
+    try:
+        disc = stated or find_disc(grey)
+    except CircleNotFoundError as error:
+        raise ConfigError(f"{error}{_advice(error.guess) if error.guess else ''}") from None
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
         expected = f"expected a circle that overlaps the {grey.shape[1]}x{grey.shape[0]} px image"
         raise ConfigError(f"visible_circle: found {found}, {expected}")
     return disc
+
+
+def rim_warning(grey: U8, disc: Disc) -> str:
+    """A warning if a found circle bounds the markers, but no rim is seen to cut the pattern; empty otherwise."""
+    if _ending_part(grey, disc) >= _ENDING:
+        return ""
+    return f"visible circle: found the circle around the outermost markers, not a rim that ends them{_advice(disc)}"
+
+
+def _advice(guess: Disc) -> str:
+    circle = f"{{row_px: {guess.row_c:.0f}, col_px: {guess.col_c:.0f}, radius_px: {guess.radius_px:.0f}}}"
+    return f"; measure it in the image and state it in SENSOR.yaml, such as `visible_circle: {circle}`"
 
 
 def find_disc(grey: U8) -> Disc:
@@ -56,81 +91,108 @@ def find_disc(grey: U8) -> Disc:
     The disc holds the marker pattern, so its rim is where the pattern's variation along the angle ends: a step in
     brightness alone would find the LED ring instead. The textured region gives a coarse circle; a search then moves
     centre and radius to the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE Trans. PAMI
-    15, 1993). The markers themselves, if `marker_field` can find them one by one, must fill the disc.
+    15, 1993). Most sectors of the rim must end there, and the markers that `marker_field` finds one by one must fill
+    the disc: pins that no rim cuts, like a hexagon's, end at the circle around them.
 
-    `grey`: uint8 (H, W). Raises ConfigError (the image has no circle with a marker pattern).
+    `grey`: uint8 (H, W). Raises CircleNotFoundError.
     """
     if min(grey.shape) < _LEAST_PX:
         found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
-        raise ConfigError(f"found no visible circle in the reference: {found}")
+        raise CircleNotFoundError(found)
     field = find_markers(grey)
-    disc, refusal = None, ConfigError("found no visible circle in the reference")
-    try:
-        disc = _end_of_texture(grey)
-    except ConfigError as error:
-        refusal = error
-    if field is None:
-        if disc is None:
-            raise refusal
-        return disc
-    if disc is not None and field.holds(disc) and field.filled_part(disc, grey.shape) >= _HALF_FILLED:
-        return disc
-    # A ring of lamps ends more sharply than the markers do. If the markers end at one circle, take it; if they do not,
-    # like the corners of a hexagon of pins inside a wider dome, take the circle around them.
-    near = _sharpest(grey, [field.circle])
-    if not _refusal(grey, near) and field.holds(near.disc) and field.filled_part(near.disc, grey.shape) >= _FILLED:
-        return near.disc
-    whole = rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
-    if whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
+    rims = [rim for starts in _starts(grey, field) if (rim := _sharpest(grey, starts))]
+    tried = [_judged(grey, rim, field) for rim in rims]
+    if good := [each for each in tried if not each.reason]:
+        return max(good, key=lambda each: (each.filled >= _FILLED, each.rim.sharpness)).rim.disc
+    if not tried:
+        raise CircleNotFoundError("the pattern covers too little or all of the image")
+    whole = field and rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
+    if field and whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
         return field.circle
-    if disc is None:
-        raise refusal
-    return disc
+    best = max(tried, key=lambda each: each.ending)
+    guess = field.circle if field and best.ending < _GUESSED else best.rim.disc
+    raise CircleNotFoundError(best.reason, guess)
 
 
-def _end_of_texture(grey: U8) -> Disc:
-    """The sharpest rim around the image's largest textured region."""
-    regions = [_textured_region(grey, part) for part in _TEXTURE_PARTS]
-    best = _sharpest(grey, [region.disc for region in regions])
-    if _refusal(grey, best) or rim_seen(grey.shape, best.disc) < _RIM_WHOLE:
-        cut = [region.rim for region in regions if region.rim and rim_seen(grey.shape, region.rim) > LEAST_RIM_SEEN]
-        if cut:
-            best = max(best, _sharpest(grey, cut), key=lambda rim: rim.sharpness)
-    if reason := _refusal(grey, best):
-        raise ConfigError(f"found no visible circle in the reference: {reason}")
-    return best.disc
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """A rim, the parts of its sectors in which the pattern ends and of its area that markers fill, and why it cannot be
+    the visible circle's (empty if it can).
+    """
+
+    rim: _Rim
+    ending: float
+    filled: float
+    reason: str
 
 
-def _refusal(grey: U8, best: _Rim) -> str:
-    """Why this is not the rim of a pattern; empty if it is."""
-    if best.strength < _LEAST_PATTERN:
-        return f"the pattern varies by {best.strength:.1f} grey levels, expected at least {_LEAST_PATTERN}"
-    seen = rim_seen(grey.shape, best.disc)
-    if seen < LEAST_RIM_SEEN:
-        return f"{100 * seen:.0f} % of the best rim lies in the image, expected at least {100 * LEAST_RIM_SEEN:.0f} %"
-    fall = _fall(grey, best.disc)
-    if fall > _RIM_FALL:
-        return (
-            f"the pattern's variation falls only to {100 * fall:.0f} % across the best rim, "
-            f"expected below {100 * _RIM_FALL:.0f} %"
-        )
-    return ""
+def _judged(grey: U8, rim: _Rim, field: MarkerField | None) -> _Tried:
+    ending = _ending_part(grey, rim.disc, field.pitch_px if field else 0.0)
+    filled = field.filled_part(rim.disc, grey.shape) if field else 1.0
+    larger = rim.disc.radius_px / field.circle.radius_px if field else 1.0
+    is_sure = ending >= _SURE and larger >= _LAMPS
+    reason = ""
+    if rim.strength < _LEAST_PATTERN:
+        reason = f"the pattern varies by {rim.strength:.1f} grey levels, expected at least {_LEAST_PATTERN}"
+    elif (seen := rim_seen(grey.shape, rim.disc)) < LEAST_RIM_SEEN:
+        reason = f"{seen:.0%} of the best rim lies in the image, expected at least {LEAST_RIM_SEEN:.0%}"
+    elif ending < _ENDING:
+        reason = f"the pattern ends along {ending:.0%} of the best rim, expected at least {_ENDING:.0%}"
+    elif filled < _HALF_FILLED:
+        reason = f"markers fill {filled:.0%} of the best circle, expected at least {_HALF_FILLED:.0%}"
+    elif field and larger > _BESIDE[1] and _is_isolated(grey, field):
+        reason = "the markers end before the best circle"
+    elif field and not is_sure and not field.holds(rim.disc):
+        reason = "markers lie beyond the best circle"
+    return _Tried(rim, ending, filled, reason.replace("%", " %"))
 
 
-def _fall(grey: U8, disc: Disc) -> float:
-    """Variation along the angle just outside a circle over that just inside, on rays where the image holds both."""
+def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
+    """Coarse circles, by how they were found: around regions of texture, through the rims of cut ones, and around the
+    markers.
+    """
+    regions = [region for part in _TEXTURE_PARTS if (region := _textured_region(grey, part))]
+    rims = [region.rim for region in regions if region.rim]
+    around = []
+    if field:
+        around.append(field.circle)
+        if rim := _circle_through_rim(field.hull_px, grey.shape, field.pitch_px):
+            rims.append(replace(rim, radius_px=rim.radius_px + field.pitch_px / 2))
+    cut = [rim for rim in rims if rim_seen(grey.shape, rim) > LEAST_RIM_SEEN]
+    return [starts for starts in ([region.disc for region in regions], cut, around) if starts]
+
+
+def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
+    """Part of a circle's sectors in the image, 0 to 1, in which the pattern ends at the circle, for half a pitch."""
     n = _width(disc)
-    radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(-n, n, dtype=np.float64)
+    radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(-n, max(n, pitch_px / 2 / _RADIAL_STEP_PX))
     strength, seen = _pattern_strength(grey, disc, radii)
-    both = strength[seen.all(axis=1)]
-    if not len(both):
-        return 1.0
-    return float(np.sqrt(both[:, n:].mean() / max(both[:, :n].mean(), 1e-18)))
+    rays = seen.all(axis=1).reshape(_SECTORS, -1)
+    shown = rays.mean(axis=1) >= 0.5
+    if not shown.any():
+        return 0.0
+    sectors = strength.reshape(_SECTORS, -1, len(radii))[shown]
+    weight = rays[shown] / rays[shown].sum(axis=1, keepdims=True)
+    inner, outer = (np.sqrt((part.mean(axis=2) * weight).sum(axis=1)) for part in np.split(sectors, [n], axis=2))
+    ends = (inner >= max(_PATTERN_PART * float(np.median(inner)), _LEAST_PATTERN)) & (outer <= _RIM_FALL * inner)
+    # A few sectors may agree by chance.
+    return float(np.count_nonzero(ends) / max(len(ends), _LEAST_SECTORS))
 
 
-def _sharpest(grey: U8, starts: list[Disc]) -> _Rim:
-    """The sharpest rim found from the best of the starting circles."""
-    best = max((_end_of_pattern(grey, start, 0.5, 1.4) for start in starts), key=lambda rim: rim.sharpness)
+def _is_isolated(grey: U8, field: MarkerField) -> bool:
+    """Whether the pattern ends with a field: beside it, the image varies less than half as much."""
+    radii: F64 = field.circle.radius_px * np.linspace(*_BESIDE, 3 * _BESIDE_RADII)
+    strength, seen = _pattern_strength(grey, field.circle, radii)
+    rms = np.sqrt(strength.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return bool(rms[-_BESIDE_RADII:].mean() < 0.5 * rms[:_BESIDE_RADII].mean())
+
+
+def _sharpest(grey: U8, starts: list[Disc]) -> _Rim | None:
+    """The sharpest rim found from the best of the starting circles; None if the pattern fills the image."""
+    rims = [rim for start in starts if (rim := _end_of_pattern(grey, start, 0.5, 1.4))]
+    if not rims:
+        return None
+    best = max(rims, key=lambda rim: rim.sharpness)
     for step in _CENTRE_STEPS:
         best = _climb(grey, best, step * best.disc.radius_px / 200)
     return best
@@ -148,13 +210,13 @@ class _Rim:
 def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
     """Move the centre by `step_px` as long as the rim becomes sharper."""
     reach = 0.1 if step_px > 2 else 0.04
-    best = _end_of_pattern(grey, best.disc, 1 - reach, 1 + reach)
+    best = _end_of_pattern(grey, best.disc, 1 - reach, 1 + reach) or best
     for _ in range(20):
         here = best
         for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             moved = Disc(here.disc.row_c + dr * step_px, here.disc.col_c + dc * step_px, here.disc.radius_px)
             tried = _end_of_pattern(grey, moved, 1 - reach, 1 + reach)
-            if tried.sharpness > best.sharpness:
+            if tried and tried.sharpness > best.sharpness:
                 best = tried
         if best is here:
             break
@@ -169,8 +231,10 @@ class _Region:
     rim: Disc | None
 
 
-def _textured_region(grey: U8, part: float) -> _Region:
-    """The hull of the largest region with more texture than `part` of Otsu's threshold (N. Otsu, 1979)."""
+def _textured_region(grey: U8, part: float) -> _Region | None:
+    """The hull of the largest region with more texture than `part` of Otsu's threshold (N. Otsu, 1979); None if it
+    is too small.
+    """
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
@@ -181,30 +245,28 @@ def _textured_region(grey: U8, part: float) -> _Region:
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     if count < 2:
-        raise ConfigError("found no circle with a marker pattern in the reference")
+        return None
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     contours, _ = cv2.findContours((labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hull = cv2.convexHull(max(contours, key=cv2.contourArea))
     area = cv2.contourArea(hull)
     moments = cv2.moments(hull)
     if area < 0.02 * small.size or moments["m00"] == 0:
-        raise ConfigError(
-            "found no circle with a marker pattern in the reference: the pattern covers too little of the image"
-        )
+        return None
     radius = float(np.sqrt(area / np.pi))
     disc = Disc(
         row_c=float(moments["m01"] / moments["m00"]) * scale,
         col_c=float(moments["m10"] / moments["m00"]) * scale,
         radius_px=radius * scale,
     )
-    return _Region(disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, scale))
+    return _Region(disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, _BORDER_PX, scale))
 
 
-def _circle_through_rim(hull: F64, shape: tuple[int, ...], scale: float) -> Disc | None:
+def _circle_through_rim(hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0) -> Disc | None:
     """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None if not cut."""
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
-    rim = hull[from_border > _BORDER_PX]
-    if from_border.min() > 0 or len(rim) < _RIM_CORNERS:
+    rim = hull[from_border > border_px]
+    if from_border.min() > border_px or len(rim) < _RIM_CORNERS:
         return None
     unknowns = np.column_stack((2 * rim, np.ones(len(rim))))
     (row, col, rest), *_ = np.linalg.lstsq(unknowns, (rim * rim).sum(axis=1), rcond=None)
@@ -234,8 +296,8 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
     return strength, seen
 
 
-def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
-    """The rim at which the pattern ends, its radius `low` to `high` times the disc's.
+def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | None:
+    """The rim at which the pattern ends, its radius `low` to `high` times the disc's; None without pattern.
 
     The profile averages all angles, so a marker that ends short of the rim does not matter; a wrong centre smears the
     end, so the right one has the greatest sharpness.
@@ -246,7 +308,7 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
     inner, outer = mean[:-n], mean[n:]
     if inner.size == 0 or not inner.max() > 0:
-        raise ConfigError("found no visible circle in the reference: the pattern fills the image")
+        return None
     # Weight a fall to nothing above a larger fall from one row of markers to the next.
     fall = inner * (inner - outer) / (outer + 0.05 * inner.max())
     best = int(np.argmax(fall))
