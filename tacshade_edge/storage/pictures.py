@@ -13,7 +13,7 @@ import numpy as np
 from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import code_of, text_of
-from tacshade_edge.types import F32, U8, Calibration, Geometry, HeightMap, Reconstruction
+from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_PX = 78
@@ -150,10 +150,14 @@ def contact_sheet(tiles: Sequence[Tile]) -> U8:
 
 
 def reference_picture(
-    grey: U8, calibration: Calibration | None = None, places_px: Sequence[Sequence[float]] = ()
+    grey: U8,
+    calibration: Calibration | None = None,
+    places_px: Sequence[Sequence[float]] = (),
+    guess: Disc | None = None,
 ) -> U8:
     """A reference, uint8 (H, W), with axes in px, uint8 BGR; of a calibration also what was found: the visible circle
-    and its middle, the white's outlines, five pitches, and the presses' places (column, row).
+    and its middle, the white's outlines, five pitches, and the presses' places (column, row). Without one, the
+    likeliest circle is drawn thinly if there is one.
     """
     zoom = max(1, SEEN_PX // max(grey.shape))
     picture = cv2.resize(
@@ -164,19 +168,20 @@ def reference_picture(
         white = cv2.resize(calibration.reference_white, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
         outlines, _ = cv2.findContours((white > 127).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(picture, outlines, -1, (90, 200, 90), 1)
-        disc = calibration.geometry.disc
+    if disc := calibration.geometry.disc if calibration else guess:
         middle = round((disc.col_c + 0.5) * zoom), round((disc.row_c + 0.5) * zoom)
-        cv2.circle(picture, middle, round(disc.radius_px * zoom), _FOUND, 2, cv2.LINE_AA)
+        cv2.circle(picture, middle, round(disc.radius_px * zoom), _FOUND, 2 if calibration else 1, cv2.LINE_AA)
         cv2.drawMarker(picture, middle, _FOUND, cv2.MARKER_CROSS, 12, 2)
+        text = f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px"
+    if calibration is None:
+        text = f"uncertain {text}; state visible_circle in SENSOR.yaml" if guess else text
+    else:
         for col, row in places_px:
             at = round((col + 0.5) * zoom), round((row + 0.5) * zoom)
             cv2.drawMarker(picture, at, (255, 120, 255), cv2.MARKER_TILTED_CROSS, 10, 2)
         end = 8 + round(5 * calibration.pitch_px * zoom)
         cv2.line(picture, (8, len(picture) - 8), (end, len(picture) - 8), _FOUND, 3)
-        text = (
-            f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px; "
-            f"bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, {calibration.binarisation}"
-        )
+        text += f"; bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, {calibration.binarisation}"
     axes = (Axis(f"{name} (px)", 0.5 / zoom - 0.5, 1 / zoom) for name in ("col", "row"))
     return _with_legend(framed(np.asarray(picture, np.uint8), *axes), text)
 

@@ -19,6 +19,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
+from tacshade_edge.core.calibration.reference.pattern import CircleNotFoundError
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.image.greyscale import to_grey
@@ -97,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
         paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}  # errors have generic names
         pattern = r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )"
         if args.plot:
-            _plot(args.plot, reference_picture(to_grey(references[0])))
+            guess = error.guess if isinstance(error, CircleNotFoundError) else None
+            _plot(args.plot, reference_picture(to_grey(references[0]), guess=guess))
         raise ConfigError(re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others) from None
     calibration, fitted = result.calibration, None
     if args.plot:

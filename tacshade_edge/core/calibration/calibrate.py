@@ -72,9 +72,9 @@ def calibrate(
     warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
     if not sensor.visible_circle and (unsure := pattern.rim_warning(unloaded.reference_grey, unloaded.geometry.disc)):
         warnings = (unsure, *warnings)
+    if not any(press.x_mm is not None for press in presses) and (doubt := _doubted_polarity(sensor, unloaded)):
+        warnings += (doubt,)
     if not presses:
-        if sensor.polarity is None:
-            warnings += (f"polarity: assumed {unloaded.polarity}; only presses show it, and only `paper` uses it",)
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
     graded_network = (networks or {}).get(GRADED_PROFILE)
     selection = select_presses(unloaded, presses, graded_network, polarity_stated=sensor.polarity is not None)
@@ -121,6 +121,17 @@ def calibrate(
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality, selection.presses)
+
+
+def _doubted_polarity(sensor: Sensor, unloaded: Calibration) -> str:
+    """A warning if the reference alone shows the polarity, or another one than stated; empty otherwise."""
+    likely = shown_polarity(unloaded)
+    if sensor.polarity is None:
+        return f"polarity: assumed {likely}; only presses at stated places show it, and only `paper` uses it"
+    if sensor.polarity == likely:
+        return ""
+    pins = "white pins on black, as of a TacTip" if likely == "dark" else "no white pins on black"
+    return f"polarity: found {sensor.polarity}, expected {likely}: the reference shows {pins}"
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:

@@ -18,8 +18,7 @@ from tacshade_edge.core.calibration.reference.pattern import rim_warning, visibl
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.prints import Print, print_features
-from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.simulator.render import Print, Renderer, print_features
 from tacshade_edge.simulator.skin import undeformed
 from tacshade_edge.types import F64, U8, Bool, Disc
 

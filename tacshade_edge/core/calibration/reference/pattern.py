@@ -16,6 +16,7 @@ from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
 # A smaller image shows no markers.
 _LEAST_PX = 80
+_NOT_FOUND = "found no visible circle in the reference"
 # Height of the image in which the coarse circle is searched for.
 _SEARCH_ROWS = 120
 # Vignetting weakens the rim's markers, and a LED ring has texture too: start from several parts of Otsu's threshold.
@@ -53,8 +54,8 @@ _FILLED, _HALF_FILLED = 0.75, 0.48
 class CircleNotFoundError(ConfigError):
     """No circle is certain; `guess` is the likeliest one, None if the image shows no pattern."""
 
-    def __init__(self, why: str, guess: Disc | None = None) -> None:
-        super().__init__(f"found no visible circle in the reference: {why}")
+    def __init__(self, text: str, guess: Disc | None = None) -> None:
+        super().__init__(text)
         self.guess = guess
 
 
@@ -65,7 +66,8 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     try:
         disc = stated or find_disc(grey)
     except CircleNotFoundError as error:
-        raise ConfigError(f"{error}{_advice(error.guess) if error.guess else ''}") from None
+        advice = _advice(error.guess) if error.guess else ""
+        raise CircleNotFoundError(f"{error}{advice}", error.guess) from None
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
         expected = f"expected a circle that overlaps the {grey.shape[1]}x{grey.shape[0]} px image"
@@ -98,20 +100,20 @@ def find_disc(grey: U8) -> Disc:
     """
     if min(grey.shape) < _LEAST_PX:
         found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
-        raise CircleNotFoundError(found)
+        raise CircleNotFoundError(f"{_NOT_FOUND}: {found}")
     field = find_markers(grey)
     rims = [rim for starts in _starts(grey, field) if (rim := _sharpest(grey, starts))]
     tried = [_judged(grey, rim, field) for rim in rims]
     if good := [each for each in tried if not each.reason]:
         return max(good, key=lambda each: (each.filled >= _FILLED, each.rim.sharpness)).rim.disc
     if not tried:
-        raise CircleNotFoundError("the pattern covers too little or all of the image")
+        raise CircleNotFoundError(f"{_NOT_FOUND}: the pattern covers too little or all of the image")
     whole = field and rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
     if field and whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
         return field.circle
     best = max(tried, key=lambda each: each.ending)
     guess = field.circle if field and best.ending < _GUESSED else best.rim.disc
-    raise CircleNotFoundError(best.reason, guess)
+    raise CircleNotFoundError(f"{_NOT_FOUND}: {best.reason}", guess)
 
 
 @dataclass(frozen=True, slots=True)

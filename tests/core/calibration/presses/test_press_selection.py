@@ -115,10 +115,26 @@ def test_an_unstated_polarity_is_found(name: str) -> None:
     assert found.polarity == sensor_of(model).polarity
 
 
+@pytest.mark.parametrize(("model", "wrong", "likely"), [(HALF, "dark", "bright"), (TACTIP, "bright", "dark")])
+def test_a_reference_contradicts_a_wrong_polarity(model: SensorModel, wrong: Polarity, likely: str) -> None:
+    (warning,) = calibrate(replace(sensor_of(model), polarity=wrong), references(model)).warnings
+    assert warning.startswith(f"polarity: found {wrong}, expected {likely}: the reference shows")
+
+
+@pytest.mark.parametrize("name", ["3", "5", "7", "other:4", "other:31", "square:5", "capped:3"])
+def test_no_reference_of_another_print_shows_white_pins(name: str) -> None:
+    model = sensor_name(name).make().model
+    unstated = replace(sensor_of(model), polarity=None, visible_circle=model.geometry.disc)
+    image = sensor_name(name).make().frame((), 0).image
+    assert calibrate(unstated, [image]).calibration.polarity == "bright"
+
+
 def test_without_presses_the_polarity_is_a_guess() -> None:
     found = calibrate(replace(sensor_of(TACTIP), polarity=None), references(TACTIP))
     assert found.calibration.polarity == "dark"
-    assert found.warnings == ("polarity: assumed dark; only presses show it, and only `paper` uses it",)
+    assert found.warnings == (
+        "polarity: assumed dark; only presses at stated places show it, and only `paper` uses it",
+    )
 
 
 def _frames(name: str) -> tuple[list[U8], list[KnownPress]]:
