@@ -91,14 +91,6 @@ _HELP = """  Press the indenter in and hold it, type what it is, then Enter; the
     done            end"""
 
 
-@dataclass(frozen=True, slots=True)
-class _Offer:
-    """The press that Enter alone takes."""
-
-    press: Stated
-    is_planned: bool
-
-
 class Session:
     """One run of the command on a folder that may already hold an earlier run's presses. `plan`: presses to suggest one
     after the other; if empty, the person types each. `indenters`: all indenters except the ball. `robot`: gives place
@@ -235,7 +227,7 @@ class Session:
         number = f"press {next_number(self._taken)}"
         if offer := self._offer():
             left = f", {len(self._left())} planned presses left" if self._plan else ""
-            return f"{number}{left} [{offer.press}]:"
+            return f"{number}{left} [{offer}]:"
         if name := self._at_robot():
             return f"{number} [{' '.join(name).strip()}, where the robot holds it]:"
         if self._plan:
@@ -253,19 +245,17 @@ class Session:
                 left.append(press)
         return left
 
-    def _offer(self) -> _Offer | None:
-        if self._taken_back is not None:
-            return _Offer(self._taken_back, is_planned=self._taken_back in self._plan)
-        left = self._left()
-        return _Offer(left[0], is_planned=True) if left else None
+    def _offer(self) -> Stated | None:
+        """The press that Enter alone takes."""
+        return self._taken_back or next(iter(self._left()), None)
 
     def _skip(self) -> None:
         offer = self._offer()
         if offer is None:
             self._terminal.say("  no press is suggested")
             return
-        if offer.is_planned:
-            self._plan.remove(offer.press)
+        if offer in self._plan:
+            self._plan.remove(offer)
         self._taken_back = None
 
     def _undo(self, numbers: Sequence[str]) -> None:
@@ -329,7 +319,7 @@ class Session:
         """
         if not words:
             if offer := self._offer():
-                return offer.press
+                return offer
             if name := self._at_robot():
                 return name
             raise ConfigError("found an empty line, expected a line with an indenter")
