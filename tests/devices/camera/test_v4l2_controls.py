@@ -84,7 +84,7 @@ def test_white_balance() -> None:
 
 
 def test_what_else_changes_by_itself_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = {AUTOMATICS["focus"]: 1, AUTOMATICS["frame_rate"]: 1, AUTOMATICS["backlight"]: 0}
+    values = {AUTOMATICS["focus"]: 1, AUTOMATICS["frame_rate"]: 1, AUTOMATICS["stabilization"]: 1}
     frozen = AUTOMATICS["frame_rate"]
 
     def ioctl(_fd: int, request: int, packed: bytearray) -> None:
@@ -100,6 +100,7 @@ def test_what_else_changes_by_itself_is_switched_off(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(v4l2_node, "check_kind", lambda _device: None)
     monkeypatch.setattr(v4l2_node.fcntl, "ioctl", ioctl)
     locks = {name: control.lock for name, control in lock_others("/dev/null").items()}
-    assert locks == {"focus": "locked", "gain": "no_control", "backlight": "locked", "frame_rate": "automatic"}
+    found = {"focus": "locked", "frame_rate": "automatic", "stabilization": "locked"}
+    assert locks == {**dict.fromkeys(AUTOMATICS, "no_control"), **found}
     assert values[AUTOMATICS["focus"]] == 0
     assert {control.lock for control in lock_others("/dev/none").values()} == {Lock.NO_CONTROL}
