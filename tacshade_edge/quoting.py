@@ -17,6 +17,11 @@ def shown(text: object, chars_max: int = 300) -> str:
     return plain if plain.isprintable() and len(plain) <= chars_max else quoted(plain, chars_max)
 
 
+def encodable(name: str) -> str:
+    """A file's name in which bytes that are not UTF-8 are escapes: no file takes them, and OpenCV's font crashes."""
+    return name.encode(errors="backslashreplace").decode()
+
+
 def escaped(text: str, chars_max: int = 1000) -> str:
     """`text` as a single line without quotes, cut to `chars_max`, with unprintable characters as escapes."""
     if len(text) > chars_max:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import os
 import resource
@@ -33,6 +34,8 @@ def entry() -> NoReturn:
         found = f"found at most {limit} open files (ulimit -n, RLIMIT_NOFILE)"
         print(f"tacshade-edge: {found}, expected at least {OPEN_FILES_MIN}", file=sys.stderr)
         sys.exit(EXIT_CONFIG)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path may not be UTF-8
     sys.excepthook = _defect
     leave(main())
 

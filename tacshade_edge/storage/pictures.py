@@ -12,6 +12,7 @@ import numpy as np
 
 from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
 
@@ -251,7 +252,7 @@ def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolatio
 
 def _with_legend(picture: U8, text: str) -> U8:
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, dtype=np.uint8)
-    cv2.putText(legend, text[:120], (6, 15), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
+    cv2.putText(legend, encodable(text[:120]), (6, 15), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
     return np.vstack([picture, legend])
 
 
@@ -266,4 +267,4 @@ def _width_px(text: str) -> int:
 
 
 def _write(paper: U8, text: str, col: int, row: int) -> None:
-    cv2.putText(paper, text, (max(col, 0), row), _FONT, _SCALE, _BLACK, 1, cv2.LINE_AA)
+    cv2.putText(paper, encodable(text), (max(col, 0), row), _FONT, _SCALE, _BLACK, 1, cv2.LINE_AA)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from tacshade_edge.cli import COMMANDS, EXIT_CONFIG, main
@@ -37,6 +39,20 @@ def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, capsys: pytest.
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert said.endswith(("File name too long\n", "found nothing, expected a recording\n"))
+
+
+@pytest.mark.parametrize(
+    "words", ["reconstruct --plot --out OUT IN", "evaluate --images IN --out OUT", "export --to csv IN --out OUT.csv"]
+)
+def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -> None:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    (tmp_path / "in").mkdir()
+    stem = os.fsdecode(b"b\xff\xfe")
+    cv2.imwrite(str(tmp_path / "a.png"), FREE)
+    (tmp_path / "a.png").rename(tmp_path / "in" / f"{stem}.png")
+    np.savez(tmp_path / "in" / f"{stem}.npz", points_mm=np.zeros((0, 3)))
+    given = words.replace("IN", str(tmp_path / "in")).replace("OUT", str(tmp_path / "out")).split()
+    assert main([*given, "--calibration", str(tmp_path / "c.npz"), "--profile", "fast"]) == 0
 
 
 @pytest.mark.parametrize(

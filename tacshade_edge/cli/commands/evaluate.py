@@ -16,6 +16,7 @@ from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
+from tacshade_edge.quoting import encodable
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
@@ -158,7 +159,7 @@ def _labelled(args: argparse.Namespace) -> int:
             continue
         known.append(each.known)
         for profile, one in made.items():
-            rows[profile].append(labels.found_row(each.path.name, one.step(Frame(0, 0, 0, image))))
+            rows[profile].append(labels.found_row(encodable(each.path.name), one.step(Frame(0, 0, 0, image))))
     progress("frames", len(table), len(table))
     if not known:
         raise ConfigError(f"{args.labels}: found no readable image, expected at least one in {args.images}")

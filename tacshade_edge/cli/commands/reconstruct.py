@@ -17,6 +17,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import images_in, read_image
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
                 write_picture(args.out / f"{path.stem}.png", panel(image, result, calibration.geometry))
                 if index in on_sheet:
                     tiles.append(tile(path.stem, image, result))
-            records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
+            records.append({"image": encodable(str(path)), **summary(result), "elapsed_ms": elapsed_ms})
             if not result.valid:  # its record reports this too, and its height is 0 everywhere
                 progress.warn(f"{path}: invalid: {text_of(result.reason)}")
                 invalid += 1

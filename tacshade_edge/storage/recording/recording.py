@@ -17,6 +17,7 @@ import numpy as np
 
 from tacshade_edge.core.image.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import encodable
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import SUFFIXES, images_in, read_image
 from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
@@ -108,7 +109,7 @@ class Recording:
             return None
         row = entry.row
         frame = Frame(entry.seq, row.t_ns, 0, entry.image(), row.pose, row.pose_error_us)
-        return RecordedFrame(row.image, frame, entry.wall_ns)
+        return RecordedFrame(encodable(row.image), frame, entry.wall_ns)
 
     def next_entry(self) -> Entry | None:
         """The next frame without its picture; None after the last."""

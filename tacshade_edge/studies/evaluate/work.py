@@ -20,6 +20,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.network import load_networks, make_reconstructor
+from tacshade_edge.quoting import encodable
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press
@@ -358,7 +359,7 @@ def read_images(
         except DecodeError as error:
             mistake(str(error))
             continue
-        yield Case(Label(sensor, name if len(truth.points_mm) else "none", path.name), truth, image)
+        yield Case(Label(sensor, name if len(truth.points_mm) else "none", encodable(path.name)), truth, image)
     report("images", len(images), len(images))
 
 
