@@ -72,8 +72,10 @@ PAGES = {
         {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
         r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm)$"
         r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
-        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a release)[^|]*\| [a-z]+ "
-        r"|^(glare spot|moved by 1 px) \| \w+ \| 126",
+        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a)[^|]*\| (fast|balanced|accurate) "
+        r"|^(glare spot|moved by 1 px) \| \w+ \| 126|^not degraded$|^(nothing|light within|one side|warm-up"
+        r"|moved by 1 px|noise of|pressed, |torn: (rows sideways by 200|one row|rows down|black)|black|white"
+        r"|foreign: no skin|light x0)[^|]*\| \d+ \| ",
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "tradeoff": Page(
