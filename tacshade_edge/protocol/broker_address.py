@@ -9,10 +9,9 @@ from ..errors import ConfigError
 from ..quoting import quoted
 
 BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
-HOST: Final = r"^(?:[^\s:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-Fa-f:.]+(?:%\w+)?)$"
+HOST: Final = r"^(?!.{254})(?:[^\s\x00-\x1f\x7f:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-Fa-f:.]+(?:%\w+)?)\Z"
 """Pattern of a host name, an IPv4 address or an IPv6 address, without a scheme, brackets or a port."""
 _PORT: Final = "1883"
-_HOST_CHARS_MAX: Final = 253
 
 
 def host_and_port(broker: str) -> tuple[str, int]:
@@ -26,7 +25,7 @@ def host_and_port(broker: str) -> tuple[str, int]:
         host = ""
     sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
     try:
-        sound = sound and len(host) <= _HOST_CHARS_MAX and bool(re.match(HOST, host) and host.encode("idna"))
+        sound = sound and bool(re.match(HOST, host) and host.encode("idna"))
     except UnicodeError:
         sound = False
     if not sound:

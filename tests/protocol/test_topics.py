@@ -283,7 +283,7 @@ def test_a_broker_is_a_host_and_a_port(text: str, found: tuple[str, int]) -> Non
     "text",
     [
         *("", ":", ":1883", "host:", "host:0", "host:65536", "host:٣", "host:" + "1" * 5000, "h" * 64, "a." * 127),
-        *("mqtt://h", "mqtt://h:1883", "::1", "[::1", "h,i", "a@h:1883", "[h:1]:1883"),
+        *("mqtt://h", "mqtt://h:1883", "::1", "[::1", "h,i", "a@h:1883", "[h:1]:1883", "h\n", "h\0"),
     ],
 )
 def test_what_is_none_is_refused_in_one_line(text: str) -> None:

@@ -56,7 +56,18 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("mqtt:\n  host: bad host\n", ":2: mqtt.host: found bad host"),
         *(
             (f"mqtt:\n  host: {host}\n", f":2: mqtt.host: found {host}")
-            for host in ("mqtt://a", "127.0.0.1:1883", "a@h", "'[::1]'", "'[::1]:1883'", "'h:'", "h,i")
+            for host in (
+                "mqtt://a",
+                "127.0.0.1:1883",
+                "a@h",
+                "'[::1]'",
+                "'[::1]:1883'",
+                "'h:'",
+                "h,i",
+                r'"h\n"',
+                r'"h\0"',
+                "a." * 130,
+            )
         ),
         ("mqtt: 3\n", ":1: mqtt: found 3"),
         ("mqtt: [1]\n", ":1: mqtt: found a list"),
