@@ -66,9 +66,9 @@ def write(folder: Path, text: str | bytes) -> Path:
                 "h,i",
                 r'"h\n"',
                 r'"h\0"',
-                "a." * 130,
             )
         ),
+        (f"mqtt:\n  host: {'a.' * 130}\n", ":2: mqtt.host: found 'a.a."),
         ("mqtt: 3\n", ":1: mqtt: found 3"),
         ("mqtt: [1]\n", ":1: mqtt: found a list"),
         ("mqtt:\n", ":1: mqtt: found nothing"),
