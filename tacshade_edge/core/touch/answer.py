@@ -42,7 +42,7 @@ PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "tw
 
 PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 """Standard deviation of each without labels. Plates on a sensor of the third family have less: 0.28, 1.1, 1.1, 0.34,
-0.42, 2.9 (tools/studies/third_family/touch.py); other objects and real skins are worse."""
+0.42, 2.9; other objects and real skins are worse."""
 
 
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
