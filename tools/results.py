@@ -156,8 +156,9 @@ def made_with(command: str, other: float) -> str:
     commit = git("log", "-1", "--format=%h of %cs", *code)
     changed = " with uncommitted changes" if git("status", "--porcelain", *code) else ""
     names = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    machine = f"{names[0] if names else 'unnamed processor'}, {len(os.sched_getaffinity(0))} cores"
-    return f"Made with `python -m {command}` at {commit}{changed} on {machine}, beside other work of {other:.2f} cores."
+    name = names[0].replace("(R)", "").replace(" Processor", "") if names else "unnamed processor"
+    machine = f"{name}, {len(os.sched_getaffinity(0))} cores"
+    return f"Made with `python -m {command}` at {commit}{changed} on {machine}; other work: {other:.2f}."
 
 
 def worked_s() -> float:
