@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.handed_in import PAINTED
 from support.vivid import NODE, control, plug_webcam, unload_driver
 
 from tacshade_edge.doctor import Finding
@@ -18,7 +19,7 @@ from tacshade_edge.doctor.camera import Captured, capture, check_device, check_f
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.factories import sources
 from tacshade_edge.settings import V4l2
-from tools.testbed.patience import patience
+from tools.testbed.patience import patience, wait_until
 
 MACHINE = Machine()
 GOOD = V4l2(device=NODE, width_px=640, height_px=480, fps=25, fourcc="YUYV")
@@ -121,6 +122,26 @@ def test_held_by_another_program() -> None:
         assert finding.fix.endswith(f"kill {other.pid}")
         assert other.stderr.read(1), "and is not disturbed"
         other.kill()
+
+
+def test_held_by_the_daemon(tmp_path: Path) -> None:
+    config = tmp_path / "settings.yaml"
+    source = f"{{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}"
+    config.write_text(f"calibration: {PAINTED}/calibration.npz\nsource: {source}\nmqtt: {{host: 127.0.0.1, port: 9}}\n")
+    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stderr is not None
+        for line in daemon.stderr:
+            if "source streaming" in line:
+                break
+        wait_until(lambda: [held.pid for held in MACHINE.holders(NODE)] == [daemon.pid], 10, "it has the camera")
+        found = MACHINE.daemon()
+        assert found is not None
+        assert found.pid == daemon.pid
+        _, (finding,) = frames(GOOD, "online, 25.0 frames/s")
+        assert finding.state == "warning"
+        assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"
+        daemon.kill()
 
 
 def test_unplugged() -> None:
