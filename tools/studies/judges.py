@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.contact.objects import contact_of, find_objects
@@ -35,6 +36,7 @@ from tacshade_edge.simulator.model import random_model, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName, reconstructor
+from tacshade_edge.studies.parallel import reported_map, workers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
 from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact
@@ -221,6 +223,12 @@ class Margins:
                 to = self._usual if usual else self._refused
                 to.setdefault((each.judge, each.what), []).append(each)
 
+    def join(self, other: Margins) -> None:
+        """Add the frames of another sensor."""
+        for ours, theirs in ((self._usual, other._usual), (self._refused, other._refused)):
+            for key, some in theirs.items():
+                ours.setdefault(key, []).extend(some)
+
     def rows(self, near_only: bool = False) -> list[tuple[str, ...]]:
         """A row for each figure: its limits, and the extremes of both kinds of frames on the side of the limit; with
         `near_only` only for those that come within half of their limit.
@@ -249,6 +257,19 @@ MARGINS = ("judge", "figure", "limit", "normal use reaches", "nearest refused", 
 COLUMNS = ("what", "count", "refused", "by", "contacts", "not degraded", "deepest mm", "network overruled")
 
 
+def judged(task: tuple[SensorName, Sequence[str], int]) -> tuple[dict[tuple[str, str], list[Seen]], Margins]:
+    """All frames of a sensor, by kind and profile."""
+    name, profiles, count = task
+    rows: dict[tuple[str, str], list[Seen]] = {}
+    margins, sensor = Margins(), name.make()
+    made = {profile: reconstructor(calibrated(sensor), profile) for profile in profiles}
+    for what, image in frames(sensor, name.seed or 0, count):
+        for profile, one in made.items():
+            rows.setdefault((what, profile), []).append(seen(one, image, one.step(Frame(0, 0, 0, image))))
+            margins.add(one.measured(image), usual=what in USUAL)
+    return rows, margins
+
+
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -257,22 +278,20 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=10, metavar="N", help="of each kind and sensor (10)")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    sensors: Sequence[SensorName] = args.sensors
     rows: dict[tuple[str, str], list[Seen]] = {}
     margins = Margins()
-    for name in sensors:
-        sensor = name.make()
-        made = {profile: reconstructor(calibrated(sensor), profile) for profile in args.profile}
-        for what, image in frames(sensor, name.seed or 0, args.frames):
-            for profile, one in made.items():
-                rows.setdefault((what, profile), []).append(seen(one, image, one.step(Frame(0, 0, 0, image))))
-                margins.add(one.measured(image), usual=what in USUAL)
+    tasks = [(name, args.profile, args.frames) for name in args.sensors]
+    with workers() as pool:
+        for some, near in reported_map(judged, tasks, pool, Progress(), "sensors"):
+            for key, found in some.items():
+                rows.setdefault(key, []).extend(found)
+            margins.join(near)
     whole = [[one for what in USUAL for one in rows[what, profile]] for profile in args.profile]
-    found = [row("normal use", whole)]
-    found += [
+    table = [row("normal use", whole)]
+    table += [
         row(what, [rows[what, each] for each in args.profile]) for what in dict.fromkeys(what for what, _ in rows)
     ]
-    print(f"Each number of three: {', '.join(args.profile)}\n\n{markdown(COLUMNS, found)}")
+    print(f"Each number of three: {', '.join(args.profile)}\n\n{markdown(COLUMNS, table)}")
     print("\nThe limits of the judges\n\n" + markdown(MARGINS, margins.rows()))
     return 0
 
