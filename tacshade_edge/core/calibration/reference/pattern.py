@@ -47,8 +47,9 @@ _BESIDE, _BESIDE_RADII = (0.8, 1.1), 16
 _GUESSED = 0.35
 # Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field as wide as the
 # image). At the end of the texture the second is enough: the search misses some markers of a faint rim (0.52 is left on
-# a coarse one). The circle of lamps around real domes with pins in their middle is filled by 0.26 to 0.36.
-_FILLED, _HALF_FILLED = 0.75, 0.48
+# a coarse one, 0.39 on a dome seen orthographically). The circle of lamps around real domes with pins in their middle
+# is filled by 0.26 to 0.36, and the pins end before it.
+_FILLED, _HALF_FILLED = 0.75, 0.37
 
 
 class CircleNotFoundError(ConfigError):
@@ -182,11 +183,13 @@ def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
 
 
 def _is_isolated(grey: U8, field: MarkerField) -> bool:
-    """Whether the pattern ends with a field: beside it, the image varies less than half as much."""
+    """Whether the pattern ends with a field: beside it, the image varies less than a third as much (0.47 times as much
+    where the search misses the rim of an orthographic dome).
+    """
     radii: F64 = field.circle.radius_px * np.linspace(*_BESIDE, 3 * _BESIDE_RADII)
     strength, seen = _pattern_strength(grey, field.circle, radii)
     rms = np.sqrt(strength.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
-    return bool(rms[-_BESIDE_RADII:].mean() < 0.5 * rms[:_BESIDE_RADII].mean())
+    return bool(rms[-_BESIDE_RADII:].mean() < 0.3 * rms[:_BESIDE_RADII].mean())
 
 
 def _sharpest(grey: U8, starts: list[Disc]) -> _Rim | None:
