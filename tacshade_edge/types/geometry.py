@@ -27,7 +27,10 @@ def frozen(cls: type[Record]) -> type[Record]:
     names = tuple(cls.__annotations__)
 
     def __post_init__(self: Record) -> None:
-        freeze(self, *(name for name in names if isinstance(getattr(self, name), np.ndarray)))
+        for name in names:  # several records are made for every frame
+            value = getattr(self, name)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                freeze(self, name)
 
     cls.__post_init__ = __post_init__  # type: ignore[attr-defined]
     return dataclass(frozen=True, slots=True, eq=False)(cls)

@@ -103,12 +103,16 @@ class CameraJudge:
         """The shift that explains the change of what lies around, in the camera's pixels; 0 if none does."""
         if self._slope < LEAST_SLOPE:
             return 0.0
+        middle, of_a_px = self._side // 2, found.size * self._slope**2
+        here = (self._side + 1) * middle
+        seen = self._lights[here] @ found
+        if found @ found - seen @ self._from_lights[here] @ seen <= of_a_px:
+            return 0.0  # too little changed for a shift that counts, and this is every good frame
         seen = self._lights @ found
         explained = np.einsum("ki,kij,kj->k", seen, self._from_lights, seen)
         left = (found @ found - explained).reshape(self._side, self._side)
         row, col = divmod(int(left.argmin()), self._side)
-        middle = self._side // 2
-        least = max(LEFT_PART * float(left[middle, middle]), found.size * self._slope**2)
+        least = max(LEFT_PART * float(left[middle, middle]), of_a_px)
         if left[row, col] > least:
             return 0.0
         shift = (row - middle + _vertex(left[:, col], row), col - middle + _vertex(left[row], col))
