@@ -45,7 +45,13 @@ from tools.testbed.simulator.families import working_sensors
 LEAST_MM = 0.3
 REFERENCES = 8
 SENSORS = "default,5,11,other:5,other:6,tactip:7,tactip:8,square:9"
-FAMILIES["tactip"] = lambda seed: SimulatedSensor(tactip(random_model(seed or 0)))
+
+
+def _tactip(seed: int | None) -> SimulatedSensor:
+    return SimulatedSensor(tactip(random_model(seed or 0)))
+
+
+FAMILIES["tactip"] = _tactip
 
 Rng = np.random.Generator
 
