@@ -14,7 +14,6 @@ The sets have no licence, or the GPL: they stay outside the tree. `raw` are whol
 `binary` near-binary ones with few pins, `plates` thresholded ones of plates that a robot tilted and sheared (of that
 set `cr_tactip` alone), `flat` flat presses of stated depth, `tilted` raw pictures of tilted and sheared plates whose
 rim the frame cuts. A network is overruled where it finds `LEAST_MM` or more and the answer is another.
-docs/results/real-frames.md is what it prints.
 """
 
 from __future__ import annotations
@@ -57,16 +56,7 @@ PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twis
 
 @dataclass(frozen=True, slots=True)
 class RealFrame:
-    """A picture and what is known of it.
-
-    Attributes
-    ----------
-    path : Path
-    free : bool or None
-        Whether nothing touched; None if unknown.
-    known : mapping of str to float
-        Some of the columns of LABELS.csv.
-    """
+    """A picture and what is known of it: whether nothing touched (None if unknown), and some columns of LABELS.csv."""
 
     path: Path
     free: bool | None
