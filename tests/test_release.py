@@ -40,8 +40,8 @@ def installed(wheel: Path, folder: Path) -> Path:
     """The command, of the wheel alone in an environment that sees this one's packages: nothing is downloaded."""
     venv.create(folder, symlinks=True)
     python = folder / "bin" / "python"
-    told = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    packages = Path(subprocess.run(told, check=True, capture_output=True, text=True).stdout.strip())
+    reported = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+    packages = Path(subprocess.run(reported, check=True, capture_output=True, text=True).stdout.strip())
     (packages / "others.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
     # Not over what this environment has installed, which is another's.
     words = ["install", "--quiet", "--no-index", "--no-deps", "--ignore-installed", "--disable-pip-version-check"]

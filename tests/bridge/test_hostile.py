@@ -44,12 +44,12 @@ def hostile_infos() -> Iterator[bytes]:
 
 def hostile_healths() -> Iterator[bytes]:
     """Numbers, names and amounts that no daemon reports."""
-    told = json.loads(health())
+    reported = json.loads(health())
     for key in ("uptime_s", "capture_fps", "source_dropped"):
         for number in NUMBERS[1:]:
-            yield json.dumps({**told, key: "?"}).replace('"?"', number).encode()
-    yield json.dumps({**told, "frames": {'a"} 1\nforged{x="': 1}}).encode()
-    yield json.dumps({**told, "frames": {f"k{number}": number for number in range(1_000_000)}}).encode()  # 17 MB
+            yield json.dumps({**reported, key: "?"}).replace('"?"', number).encode()
+    yield json.dumps({**reported, "frames": {'a"} 1\nforged{x="': 1}}).encode()
+    yield json.dumps({**reported, "frames": {f"k{number}": number for number in range(1_000_000)}}).encode()  # 17 MB
     yield from NO_JSON
 
 
@@ -63,10 +63,10 @@ def is_seen(bridge: BridgeProcess, sensor: PublishedSensor) -> bool:
         with viewer, contextlib.suppress(TimeoutError):
             for number in range(500):
                 sensor.show(bump(number, 1.0, 236.0, 328.0, 8))
-                told = viewer.recv(timeout=1.0)
-                if isinstance(told, bytes):
+                reported = viewer.recv(timeout=1.0)
+                if isinstance(reported, bytes):
                     return True
-                wanted = [one for one in json.loads(told).get("channels", ()) if f"/{REAL}/height" in one["topic"]]
+                wanted = [one for one in json.loads(reported).get("channels", ()) if f"/{REAL}/height" in one["topic"]]
                 if wanted:
                     asked = [{"id": one["id"], "channelId": one["id"]} for one in wanted]
                     viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))

@@ -55,8 +55,8 @@ RIM = b'{"points": [[140, 320], [240, 420], [340, 320]]}'
 
 
 def post(page: Page, body: bytes, path: str = "circle", **headers: str) -> tuple[int, str]:
-    told = {"Origin": page.address.rstrip("/")} | headers
-    request = urllib.request.Request(page.address + path, data=body, headers=told, method="POST")
+    reported = {"Origin": page.address.rstrip("/")} | headers
+    request = urllib.request.Request(page.address + path, data=body, headers=reported, method="POST")
     try:
         with contextlib.closing(urllib.request.urlopen(request, timeout=patience(5))) as answer:
             return answer.status, answer.read().decode()

@@ -57,8 +57,8 @@ def test_a_flood_is_counted_and_hides_nothing(written: Written) -> None:
     logger.info("another")
     assert len(stream.getvalue().splitlines()) == AT_ONCE + 1
     handler.close()
-    told = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/profile refused: #"
-    assert stream.getvalue().splitlines()[-1] == told
+    reported = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/profile refused: #"
+    assert stream.getvalue().splitlines()[-1] == reported
 
 
 def test_a_fault_is_not_hidden_by_another_of_the_same_format(written: Written) -> None:

@@ -96,8 +96,10 @@ def test_alone_it_listens_to_a_daemon(tmp_path: Path) -> None:
         command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(tmp_path / "run.yaml")]
         daemon = subprocess.Popen(command, cwd=ROOT)
         try:
-            told = [str(python), "-c", LISTEN, where]
-            done = subprocess.run(told, capture_output=True, text=True, env=clean(), timeout=patience(60), check=False)
+            reported = [str(python), "-c", LISTEN, where]
+            done = subprocess.run(
+                reported, capture_output=True, text=True, env=clean(), timeout=patience(60), check=False
+            )
         finally:
             daemon.send_signal(signal.SIGTERM)
             daemon.wait(patience(10))
@@ -112,8 +114,8 @@ def environment(folder: Path, wheel: Path) -> Path:
     """The wheel and what it needs, of this environment's files, so that nothing is downloaded."""
     venv.create(folder, symlinks=True)
     python = folder / "bin" / "python"
-    told = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    packages = Path(subprocess.run(told, check=True, capture_output=True, text=True).stdout.strip())
+    reported = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+    packages = Path(subprocess.run(reported, check=True, capture_output=True, text=True).stdout.strip())
     for pattern in ("msgspec*", "numpy*", "paho*"):
         for found in Path(np.__file__).parents[1].glob(pattern):
             (packages / found.name).symlink_to(found)

@@ -167,7 +167,7 @@ SLOW_FPS = 3.0  # a camera for tests of minutes
 
 pytestmark = pytest.mark.slow
 
-BUDGET_MS = 10_000.0  # for the slowest machine: what is late is told, not measured
+BUDGET_MS = 10_000.0  # for the slowest machine: what is late is reported, not measured
 
 BEST, CHEAPEST = LADDER[0], LADDER[-1]
 

@@ -89,26 +89,26 @@ def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevi
 
 
 def test_a_growing_map_is_told_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[str, bytes]] = []
-    publisher = MapPublisher(lambda topic, payload: told.append((topic, payload)))
+    reported: list[tuple[str, bytes]] = []
+    publisher = MapPublisher(lambda topic, payload: reported.append((topic, payload)))
     assert [publisher.publish(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
     assert not publisher.publish(revision(6, "/sessions/pad"))
-    assert [topic for topic, _ in told] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
+    assert [topic for topic, _ in reported] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
     monkeypatch.setattr(map_publisher, "PERIOD_S", -1.0)
     publisher.publish(revision(7, "/sessions/pad"))
     publisher.publish(revision(8))
-    assert len(told) == 8  # a period after the one before
+    assert len(reported) == 8  # a period after the one before
 
 
 def test_a_subscriber_decodes_the_map() -> None:
-    told: dict[str, bytes] = {}
-    MapPublisher(told.__setitem__).publish(revision(9, "/sessions/pad"))
-    about = json.loads(told["map/final"])
+    reported: dict[str, bytes] = {}
+    MapPublisher(reported.__setitem__).publish(revision(9, "/sessions/pad"))
+    about = json.loads(reported["map/final"])
     assert (about["name"], about["revision"], about["presses"], about["used"]) == ("pad", 9, 3, 2)
     assert (about["width_mm"], about["length_mm"], about["spacing_mm"]) == (12.5, 10.0, 0.25)
     assert about["area_mm2"] == 37 * 50 / 16
     assert about["folder"] == "/sessions/pad"
-    cloud = decode(told["map/cloud"])
+    cloud = decode(reported["map/cloud"])
     assert isinstance(cloud, CloudMessage)
     assert (cloud.seq, cloud.calibration_crc32, cloud.pose) == (9, 0xABCD, None)
     assert len(cloud.points_mm) == about["points"] == 37 * 50

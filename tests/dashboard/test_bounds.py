@@ -56,10 +56,10 @@ def grid(**changed: Any) -> dict[str, Any]:
 
 def info(**changed: Any) -> dict[str, Any]:
     """As the daemon tells it, with another geometry."""
-    told = messages.encode_info(
+    reported = messages.encode_info(
         version="0", config_digest="0", profile="fast", calibration=calibration(), profiles=("fast",)
     )
-    made: dict[str, Any] = json.loads(told)
+    made: dict[str, Any] = json.loads(reported)
     made["geometry"].update(changed)
     return made
 

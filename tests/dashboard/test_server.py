@@ -110,8 +110,8 @@ async def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> No
             assert await page.recv() == b"hello"
         for page in pages:
             page.transport.abort()
-    told = [record.getMessage() for record in caplog.records]
-    assert told == ["rejected a connection (1 so far): 16 pages are already open, the limit"]
+    reported = [record.getMessage() for record in caplog.records]
+    assert reported == ["rejected a connection (1 so far): 16 pages are already open, the limit"]
 
 
 @pytest.mark.parametrize("tls", [False, True])
@@ -139,8 +139,8 @@ async def test_so_many_connections_and_handshakes_and_no_more(
             writer.close()
         while (await index(port))[:12] != b"HTTP/1.1 200":
             await asyncio.sleep(0.01)
-    told = caplog.records[0].getMessage()
-    assert told == "rejected a connection (1 so far): 48 connections are already open, the limit"
+    reported = caplog.records[0].getMessage()
+    assert reported == "rejected a connection (1 so far): 48 connections are already open, the limit"
 
 
 async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
@@ -167,10 +167,10 @@ async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.L
 
 async def test_the_page_is_told_when_it_may_only_look() -> None:
     async with running() as port, running(read_only=True) as read_only:
-        _, told, plain = await get(port, "/")
+        _, reported, plain = await get(port, "/")
         _, other, marked = await get(read_only, "/")
         assert plain.replace(b'<html lang="en">', b'<html lang="en" data-read-only>') == marked != plain
-        assert told["etag"] != other["etag"]
+        assert reported["etag"] != other["etag"]
 
 
 async def test_it_stops_with_open_connections() -> None:

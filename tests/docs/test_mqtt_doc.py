@@ -106,11 +106,11 @@ def test_the_decoder_of_a_hand_understands_and_refuses_every_vector() -> None:
 def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
     z = np.array([[np.nan, 1.25, 1.5], [-0.5, np.nan, 0.75]], np.float32)
     revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
-    told: dict[str, bytes] = {}
-    MapPublisher(told.__setitem__).publish(revision)
-    assert json.loads(told["map/final"]) == json.loads(code("json", "map"))
+    reported: dict[str, bytes] = {}
+    MapPublisher(reported.__setitem__).publish(revision)
+    assert json.loads(reported["map/final"]) == json.loads(code("json", "map"))
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
-    cloud = wire.decode(told["map/cloud"])
+    cloud = wire.decode(reported["map/cloud"])
     assert isinstance(cloud, wire.CloudMessage)
     assert (cloud.points_mm.ravel().tolist(), cloud.labels.tolist()) == (vector["points_mm"], vector["labels"])
     assert (cloud.seq, cloud.contact) == (vector["seq"], vector["contact"])

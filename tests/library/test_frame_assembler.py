@@ -206,8 +206,8 @@ def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
         result = frames.take()
         assert result is not None
         assert result.touch == result.touch_sigma == expected
-        told = ("outside the labelled range: x_mm", "touch_range") if expected else ("", "")
-        assert (result.touch_reason, result.touch_reason_code) == told
+        reported = ("outside the labelled range: x_mm", "touch_range") if expected else ("", "")
+        assert (result.touch_reason, result.touch_reason_code) == reported
 
 
 def test_shear_without_a_height_passes_a_frame_over() -> None:

@@ -48,8 +48,12 @@ def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100))
 
 def errors(driver: webdriver.Chrome) -> list[str]:
     """The page's errors and warnings since the last call, including those of the security policy."""
-    told = [f"{e['level']} {e['message']}" for e in driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")]
-    return [line for line in told if "GL Driver Message" not in line]  # a screenshot reads the software renderer back
+    reported = [
+        f"{e['level']} {e['message']}" for e in driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")
+    ]
+    return [
+        line for line in reported if "GL Driver Message" not in line
+    ]  # a screenshot reads the software renderer back
 
 
 def errors_of_the_page(driver: webdriver.Chrome) -> list[str]:

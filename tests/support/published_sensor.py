@@ -152,6 +152,6 @@ def health() -> bytes:
     ledger.settle(0, "published")
     ledger.settle(1, "invalid")
     timings.add({"latency": 20.0, "solve": 5.0})
-    told = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
+    reported = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
-    return codec.encode_json({**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})
+    return codec.encode_json({**reported, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})

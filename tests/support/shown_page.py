@@ -96,8 +96,8 @@ def mapping(sensor: PublishedSensor, name: str, **corner_mm: float) -> GrowingMa
 
 
 def until_mapped(page: Chrome, name: str, revision: int) -> None:
-    told = "tacshade.stitched && [tacshade.stitched.name, tacshade.stitched.revision]"
-    wait_until(lambda: js(page, told) == [name, revision], 15, f"revision {revision} of {name} on the screen")
+    reported = "tacshade.stitched && [tacshade.stitched.name, tacshade.stitched.revision]"
+    wait_until(lambda: js(page, reported) == [name, revision], 15, f"revision {revision} of {name} on the screen")
 
 
 def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:

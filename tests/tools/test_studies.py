@@ -46,9 +46,9 @@ def test_one_writes_its_table_its_rows_and_its_plots(
     with half_family():
         study.main(["--sensors", "half:default", *words, "--out", str(tmp_path)])
     name = study.__name__.rpartition(".")[2]
-    told = capsys.readouterr()
-    assert only_progress(told.err)
-    assert told.out == (tmp_path / f"{name}.md").read_text(encoding="utf-8")
+    reported = capsys.readouterr()
+    assert only_progress(reported.err)
+    assert reported.out == (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     for end, count in rows.items():
         with (tmp_path / f"{name}{end}.csv").open(encoding="utf-8") as file:
             assert len(list(csv.DictReader(file))) == count

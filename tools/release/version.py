@@ -22,8 +22,8 @@ _DESCRIBED = re.compile(r"v(\d+)\.(\d+)\.(\d+)(?:-(\d+)-g([0-9a-f]+))?")
 
 def version(root: Path = ROOT) -> str:
     """Find the version of the tree at `root`."""
-    if told := os.environ.get("TACSHADE_EDGE_VERSION"):
-        return told
+    if reported := os.environ.get("TACSHADE_EDGE_VERSION"):
+        return reported
     if (about := root / "PKG-INFO").is_file():
         return str(email.message_from_string(about.read_text(encoding="utf-8"))["Version"])
     if (root / ".git").exists():  # otherwise git would describe a repository around the tree

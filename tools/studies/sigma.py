@@ -145,7 +145,7 @@ def draw(found: Sequence[Cells]) -> Mapping[str, bytes]:
     """How many intervals hold over depth, and the error over σ: a column for each family, a line for each profile."""
     families = grouped(found, lambda row: family_of(row.sensor))
     figure, panels = new_figure(2, len(families), 5.5 * len(families), 7)
-    for (held, told), (family, mine) in zip(panels.T, families.items(), strict=True):
+    for (held, reported), (family, mine) in zip(panels.T, families.items(), strict=True):
         held.axhspan(*COVERED, color="#eeeeee")
         for colour, (profile, of) in zip(command.COLOURS, grouped(mine, "profile").items(), strict=False):
             for dragged, some in sorted(grouped(of, lambda row: row.drag_mm > 0).items()):
@@ -158,10 +158,10 @@ def draw(found: Sequence[Cells]) -> Mapping[str, bytes]:
             error_mm, sigma_mm = joined(of)
             tenths = np.array_split(np.argsort(sigma_mm), 10)
             means = ([values[tenth].mean() for tenth in tenths] for values in (sigma_mm, error_mm))
-            told.plot(*means, "o-", color=colour)
+            reported.plot(*means, "o-", color=colour)
         held.set(title=f"{family}: cells in their 90 % interval, %", xlabel="depth, mm", ylim=(40, 100))
-        told.set(title="mean error of each tenth of the cells, mm", xlabel="its mean σ, mm")
-        told.set(xlim=(0, None), ylim=(0, None))
+        reported.set(title="mean error of each tenth of the cells, mm", xlabel="its mean σ, mm")
+        reported.set(xlim=(0, None), ylim=(0, None))
         held.legend(frameon=False, fontsize=7)
     return {"": png(figure)}
 

@@ -39,9 +39,9 @@ def press_of(pose: Rigid, seed: int, radius_mm: float = 5.0, noise_mm: float = 0
 def misreported(poses: list[Rigid], seed: int, mm: float = 0.3, deg: float = 0.6) -> list[Rigid]:
     """Poses with independent Gaussian errors in every axis, about the apex."""
     rng = np.random.default_rng(seed)
-    told = []
+    reported = []
     for pose in poses:
         rotation = turn(np.radians(deg) * rng.standard_normal(3))
         there = pose @ shift(0, 0, APEX_MM) @ rotation @ shift(0, 0, -APEX_MM)
-        told.append(shift(*(mm * rng.standard_normal(3)).tolist()) @ there)
-    return told
+        reported.append(shift(*(mm * rng.standard_normal(3)).tolist()) @ there)
+    return reported

@@ -85,8 +85,8 @@ def asked(page: Subscriber, verb: str, body: dict[str, object]) -> dict[str, Any
     page.client.publish(f"tacshade/demo/req/{verb}", json.dumps({**body, "transaction": "test"}))
 
     def answers() -> list[dict[str, Any]]:
-        told = [json.loads(m.payload) for m in list(page.messages) if m.topic.startswith("tacshade/demo/res/")]
-        return [answer for answer in told if answer["transaction"] == "test"]
+        reported = [json.loads(m.payload) for m in list(page.messages) if m.topic.startswith("tacshade/demo/res/")]
+        return [answer for answer in reported if answer["transaction"] == "test"]
 
     wait_until(answers, 10, "the answer")
     result: dict[str, Any] = answers()[0]["result"]
@@ -135,8 +135,8 @@ def test_a_hand_of_five_holds_a_bottle_and_what_it_feels_lies_on_it(tmp_path: Pa
         with Subscriber(hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects") as seen:
 
             def all_hold() -> bool:
-                told = [decode_hand(bytes(message.payload)) for message in seen.messages[-1:]]
-                return bool(told) and all(finger.objects for finger in told[0].fingers.values())
+                reported = [decode_hand(bytes(message.payload)) for message in seen.messages[-1:]]
+                return bool(reported) and all(finger.objects for finger in reported[0].fingers.values())
 
             wait_until(all_hold, 60, "all fingers hold it")
             fingers = decode_hand(bytes(seen.messages[-1].payload)).fingers

@@ -149,7 +149,7 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     daemon = start("run")
     client = start("record", "--seconds", "600", "--name", "a")
     wait_until(lambda: recording_frames(seen) > 20, 30, "a recording")
-    told = recording_frames(seen)
+    reported = recording_frames(seen)
     daemon.kill()
     said, errors = client.communicate(timeout=patience(30))
     rec = tmp_path / "recs" / "a"
@@ -158,7 +158,7 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     assert Recording(rec).cut_off
     images = len(list(rec.glob("*.png")))
     frames = len(replayed(rec, tmp_path / "run"))
-    assert frames >= told
+    assert frames >= reported
     assert images - 1 <= frames <= images
     events = [json.loads(line) for line in (rec / "events.jsonl.part").read_text().splitlines()]
     assert events[0]["kind"] == "start"

@@ -117,12 +117,14 @@ def test_travel_becomes_depth() -> None:
 
 @given(angles, places, TOUCHES, st.sampled_from((0.0, 3.0, 9.0)))
 def test_the_press_that_told_the_place_is_found_again(
-    angle: tuple[float, ...], at: tuple[float, ...], told: Touch, radius_mm: float
+    angle: tuple[float, ...], at: tuple[float, ...], reported: Touch, radius_mm: float
 ) -> None:
     held = shift(*at) @ turn(angle)
-    found = fixed_indenter(held, told, radius_mm, R_MM)
+    found = fixed_indenter(held, reported, radius_mm, R_MM)
     again = found.touch(held, R_MM)
-    assert (again.x_mm, again.y_mm, again.depth_mm) == pytest.approx((told.x_mm, told.y_mm, told.depth_mm), abs=1e-9)
+    assert (again.x_mm, again.y_mm, again.depth_mm) == pytest.approx(
+        (reported.x_mm, reported.y_mm, reported.depth_mm), abs=1e-9
+    )
     assert found.turned_deg(held) == pytest.approx(0.0, abs=1e-5)
 
 
@@ -132,9 +134,9 @@ def test_a_sensor_that_is_moved_along_its_own_axes(
 ) -> None:
     """The indenter goes the other way in the sensor frame; the depth grows by what the skin falls off there."""
     held = shift(*at) @ turn(angle)
-    told = Touch(1.0, -2.0, 2.5)
+    reported = Touch(1.0, -2.0, 2.5)
     moved = held @ shift(-x_mm, -y_mm, deeper_mm)
-    found = fixed_indenter(held, told, 3.0, R_MM).touch(moved, R_MM)
+    found = fixed_indenter(held, reported, 3.0, R_MM).touch(moved, R_MM)
     skin = [math.sqrt(R_MM**2 - x * x - y * y) for x, y in ((1.0, -2.0), (1.0 + x_mm, -2.0 + y_mm))]
     wanted = (1.0 + x_mm, -2.0 + y_mm, 2.5 + deeper_mm + skin[1] - skin[0])
     assert (found.x_mm, found.y_mm, found.depth_mm) == pytest.approx(wanted, abs=1e-9)
@@ -143,8 +145,8 @@ def test_a_sensor_that_is_moved_along_its_own_axes(
 @given(angles.filter(lambda v: math.hypot(*v) > 0.01))
 def test_a_ball_about_whose_centre_the_sensor_turns_keeps_its_centre(angle: tuple[float, ...]) -> None:
     """It lies on the line through the skin's centre: whatever way that points, the ball is as far from it."""
-    told = Touch(0.0, 0.0, 2.0)
-    found = fixed_indenter(shift(0.0, 0.0, 0.0), told, 4.0, R_MM)
+    reported = Touch(0.0, 0.0, 2.0)
+    found = fixed_indenter(shift(0.0, 0.0, 0.0), reported, 4.0, R_MM)
     assert found.point_mm == pytest.approx((0.0, 0.0, R_MM - 2.0 + 4.0))
     tilted = turn(np.asarray(angle) * min(1.0, 0.4 / math.hypot(*angle)))
     seen = found.touch(tilted, R_MM)

@@ -166,17 +166,17 @@ def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geo
     large = sorted((k for k in areas if areas[k] >= MIN_OBJECT_MM2), key=lambda k: -areas[k])
     if not large:
         return None
-    told, clouds, labels = [], [], []
+    reported, clouds, labels = [], [], []
     for label, k in enumerate(large, start=1):
         mine = points[patches == k].astype(np.float64)
         x, y, z = (float(v) for v in mine.mean(axis=0))
         a, b, c = (float(v) for v in np.ptp(mine, axis=0))
-        told.append(TouchedObject(label, (x, y, z), (a, b, c), float(height[patches == k].max()), areas[k]))
+        reported.append(TouchedObject(label, (x, y, z), (a, b, c), float(height[patches == k].max()), areas[k]))
         clouds.append(points[patches == k])
         labels.append(np.full(len(mine), label, np.uint16))
     contact = np.isin(patches, large)
     volume = float((height[contact] * area[contact]).sum())
-    return Objects(contact, ObjectCloud(np.concatenate(clouds), np.concatenate(labels)), tuple(told), volume)
+    return Objects(contact, ObjectCloud(np.concatenate(clouds), np.concatenate(labels)), tuple(reported), volume)
 
 
 @given(

@@ -46,8 +46,8 @@ def rms(values: F64) -> F64:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_overlaps_correct_pose_noise(seed: int) -> None:
-    told = misreported(TRUE, seed)
-    before, after = rms(apex_errors(told)), rms(apex_errors(refine_poses(PRESSES, told, APEX, PoseError())))
+    reported = misreported(TRUE, seed)
+    before, after = rms(apex_errors(reported)), rms(apex_errors(refine_poses(PRESSES, reported, APEX, PoseError())))
     assert after[2] < 0.35 * before[2]
     assert (after[:2] < 0.8 * before[:2]).all()
 
@@ -59,9 +59,9 @@ def test_exact_poses_stay() -> None:
 
 def test_the_map_does_not_bend() -> None:
     # A tilt of the whole map and its height come from the mean of all reports, whatever the overlaps say.
-    told = misreported(TRUE, 3)
+    reported = misreported(TRUE, 3)
     errors, places = (
-        apex_errors(refine_poses(PRESSES, told, APEX, PoseError())),
+        apex_errors(refine_poses(PRESSES, reported, APEX, PoseError())),
         np.stack([p.apply(APEX) for p in TRUE]),
     )
     fit = np.column_stack((places[:, :2] - places[:, :2].mean(axis=0), np.ones(len(TRUE))))
@@ -75,9 +75,9 @@ def test_the_map_does_not_bend() -> None:
 def test_the_frame_does_not_matter() -> None:
     # The same presses on the same table, which stands a metre away: turned about the vertical.
     base = shift(1000, -500, 30) @ turn((0, 0, 0.8))
-    told = misreported(TRUE, 4)
-    here = refine_poses(PRESSES, told, APEX, PoseError())
-    there = refine_poses(PRESSES, [base @ t for t in told], APEX, PoseError())
+    reported = misreported(TRUE, 4)
+    here = refine_poses(PRESSES, reported, APEX, PoseError())
+    there = refine_poses(PRESSES, [base @ t for t in reported], APEX, PoseError())
     # Cells lie elsewhere, so it is the same within what cells do.
     off = np.stack([(base @ h).apply(APEX) - t.apply(APEX) for h, t in zip(here, there, strict=True)])
     assert rms(off).max() < 0.1
@@ -86,8 +86,8 @@ def test_the_frame_does_not_matter() -> None:
 def test_what_overlaps_nothing_stays() -> None:
     alone = [shift(200.0 * k, 0, APEX_MM) @ DOWN for k in range(3)]
     presses = [thin_points(press_of(pose, k)) for k, pose in enumerate(alone)]
-    for told, found in zip(alone, refine_poses(presses, alone, APEX, PoseError()), strict=True):
-        correction_mm, correction_deg = correction(told, found, APEX)
+    for reported, found in zip(alone, refine_poses(presses, alone, APEX, PoseError()), strict=True):
+        correction_mm, correction_deg = correction(reported, found, APEX)
         assert correction_mm < 0.02
         assert correction_deg < 0.2
     assert refine_poses(presses[:1], alone[:1], APEX, PoseError()) == alone[:1]
@@ -114,8 +114,8 @@ def test_a_correction_is_told_in_mm_and_degrees() -> None:
     assert correction(TRUE[5], TRUE[5], APEX) == (0, pytest.approx(0, abs=1e-5))
 
 
-def part_of(told: list[Rigid], presses: list[F64] = PRESSES) -> float:
-    return robots_part(presses, told, refine_poses(presses, told, APEX, PoseError()), APEX)
+def part_of(reported: list[Rigid], presses: list[F64] = PRESSES) -> float:
+    return robots_part(presses, reported, refine_poses(presses, reported, APEX, PoseError()), APEX)
 
 
 def test_the_robots_part_grows_with_its_error() -> None:

@@ -81,9 +81,9 @@ def test_noisy_poses_are_refined() -> None:
 
 
 def test_a_press_that_fits_nowhere_is_left_out() -> None:
-    told = list(TRUE)
-    told[24] = shift(0, 0, 2.5) @ told[24]  # the robot slipped
-    finished = stitched(told).finish()
+    reported = list(TRUE)
+    reported[24] = shift(0, 0, 2.5) @ reported[24]  # the robot slipped
+    finished = stitched(reported).finish()
     assert [k for k, p in enumerate(finished.presses) if p.rejected] == [24]
     assert rms_mm(finished) < 0.06
 

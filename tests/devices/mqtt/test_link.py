@@ -182,8 +182,8 @@ class TestRefused:
             assert counters["published"] == 0
             wait_until(lambda: rig.link.counters()["refused"] > counters["refused"], 5, "the reply is refused too")
             rig.link.stop(2)
-        told = [record for record in caplog.records if record.levelno >= logging.WARNING]
-        assert [record.getMessage() for record in told] == [
+        reported = [record for record in caplog.records if record.levelno >= logging.WARNING]
+        assert [record.getMessage() for record in reported] == [
             f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access rules (ACL) that allow "
             f"this user to publish to {BASE}/#; further rejections are not logged"
         ]

@@ -97,18 +97,18 @@ def test_a_damaged_image_and_one_of_another_size_are_told_and_passed_over(folder
     source = FilesSource(path=folder, fps=240, loop=False)
     source.open()
     seen: list[int] = []
-    told: list[str] = []
+    reported: list[str] = []
     for _ in range(5):
         try:
             frame = source.read()
         except DecodeError as error:
-            told.append(str(error))
+            reported.append(str(error))
         else:
             assert frame is not None
             seen.append(frame.seq)
     assert seen == [0, 2, 4]
-    assert told[0].endswith("0b.png: found an image cut short after 60 bytes, expected a whole image")
-    assert told[1].endswith("1b.png: found 64x24 px, expected 64x48 px, the first image's size")
+    assert reported[0].endswith("0b.png: found an image cut short after 60 bytes, expected a whole image")
+    assert reported[1].endswith("1b.png: found 64x24 px, expected 64x48 px, the first image's size")
 
 
 def test_the_size_of_the_first_image(folder: Path, tmp_path: Path) -> None:

@@ -159,10 +159,10 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
     ) as process:
         assert process.stdout is not None
-        told = [process.stdout.readline() for _ in range(60)]
+        reported = [process.stdout.readline() for _ in range(60)]
         process.kill()
-        told += process.stdout.readlines()
-    acknowledged = told.count(b"added\n")
+        reported += process.stdout.readlines()
+    acknowledged = reported.count(b"added\n")
     file, found = StitchFile.resume(tmp_path / "one")
     assert acknowledged <= len(found) <= acknowledged + 1
     poses = grid_poses()
