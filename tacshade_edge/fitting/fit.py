@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -153,12 +153,15 @@ class NetworkReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """The calibration with the networks that were kept, what was found of the sensor, the reports, and advice."""
+    """The calibration with the networks that were kept, what was found of the sensor, the reports, advice, and all
+    networks, with those that were not kept.
+    """
 
     calibration: Calibration
     found: tuple[str, ...]
-    networks: tuple[NetworkReport, ...]
-    advice: tuple[str, ...]
+    networks: tuple[NetworkReport, ...] = ()
+    advice: tuple[str, ...] = ()
+    trained: Mapping[str, FittedNetwork] = field(default_factory=dict)
 
 
 def fit(
@@ -178,7 +181,7 @@ def fit(
     if not prints or prints[0].residual > MOST_UNEXPLAINED:
         why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
-        return FitResult(calibration, (found,), (), ())
+        return FitResult(calibration, (found,))
     prints = [each for each in prints if each.residual <= LIKELY * prints[0].residual]
     say("fit: comparing presses with simulated skins" if presses else "fit: simulating")
     mechanics = likely_mechanics(calibration, prints[0], presses)
@@ -194,6 +197,7 @@ def fit(
         _words(prints, mechanics, stated),
         tuple(report for _, report in judged.values()),
         _advice(mechanics),
+        {name: made for name, (made, _) in judged.items()},
     )
 
 

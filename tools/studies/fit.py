@@ -6,10 +6,11 @@
     .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER]
 
 A case is a sensor fitted to references and presses, with ``/none`` to references alone. The presses are of balls of
-three sizes, flat ends of two, a square and a lying bar, or of the balls alone (``/balls``), 0.6 to 4.5 mm deep; the
-stated presses are off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each case runs in its own
-process. With a folder, the study keeps each case's results there and does not measure the case again until the program
-changes.
+three sizes, flat ends of two, a square and a lying bar, or of the balls alone (``/balls``, with the exact print as its
+drawing ``/drawing``), 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm in place and 0.03 mm in depth (one
+standard deviation each). Networks that the fit does not keep are judged as well. Each case runs in its own process.
+With a folder, the study keeps each case's results and its fitted calibration there, and does not measure the case again
+until the program changes.
 """
 
 from __future__ import annotations
@@ -36,10 +37,13 @@ from tacshade_edge.core.calibration import indenters as shapes
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
+from tacshade_edge.core.depth.sigma import INTERVAL_90
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.fitting.fit import fit
+from tacshade_edge.fitting.identify import PARAMETERS
 from tacshade_edge.inference.network import load_networks, make_reconstructor
+from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
@@ -55,6 +59,7 @@ from tacshade_edge.studies.evaluate.work import (
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.studies.command import stated_press
+from tools.studies.sigma import true_height_mm
 from tools.testbed.simulator.families import sensor_name
 
 CASES = (
@@ -140,6 +145,8 @@ class Judged:
     sd_pct: float
     iou: float
     shear_off_mm: float
+    held_pct: float = math.nan
+    """Share of the cells in contact whose 90 % interval holds the true height."""
 
 
 def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Scene]]:
@@ -168,10 +175,12 @@ def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Ca
             scored = score(Label(str(name), scene.object_name), KnownTruth.of(truth), found)
             shear = found.shear_of_contact_mm or (math.nan, math.nan)
             off = float(np.linalg.norm(np.subtract(shear, true_shear)))
-            depth = scene.press.depth_mm
-            rows.append(
-                Judged(profile, what, scene.object_name, judged, depth, scored.me_mm, scored.sd_pct, scored.iou, off)
-            )
+            depth, contact, held_pct = scene.press.depth_mm, found.height.contact, math.nan
+            if found.contact and found.sigma_mm is not None:
+                off_mm = np.abs(found.height.height_mm[contact] - true_height_mm(frame, reconstructor.grid, contact))
+                held_pct = 100 * float(np.mean(off_mm <= INTERVAL_90 * found.sigma_mm[contact]))
+            scores = (scored.me_mm, scored.sd_pct, scored.iou, off, held_pct)
+            rows.append(Judged(profile, what, scene.object_name, judged, depth, *scores))
     return rows
 
 
@@ -208,20 +217,35 @@ def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict
     }
 
 
-def measured(case: str) -> dict[str, object]:
-    """Calibrate, fit and judge a case."""
+def drawing(model: SensorModel) -> dict[str, float]:
+    """The sizes of the sensor's print, as SENSOR.yaml states them."""
+    sizes = {key.replace("_pitches", "_mm"): getattr(model, key) * model.pitch_mm for key in PARAMETERS}
+    return {"pitch_mm": model.pitch_mm, **sizes}
+
+
+def measured(case: str, keep: Path | None) -> dict[str, object]:
+    """Calibrate, fit and judge a case; keep the calibration that the user would have."""
     text, _, presses = case.partition("/")
     name = sensor_name(text)
     sensor = name.make()
-    result = calibrated(sensor, [] if presses == "none" else pressed(sensor, name.seed or 0, presses == "balls"))
+    balls = presses in {"balls", "drawing"}
+    result = calibrated(sensor, [] if presses == "none" else pressed(sensor, name.seed or 0, balls))
+    stated = drawing(sensor.model) if presses == "drawing" else None
     began_s = time.monotonic()
-    fitted = fit(result.calibration, result.presses, lambda _: None)
+    fitted = fit(result.calibration, result.presses, lambda _: None, stated)
     fit_s = time.monotonic() - began_s
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    calibrations = {"shipped": result.calibration, "fitted": fitted.calibration}
+    if keep:
+        calibration_file.save(keep, fitted.calibration)
+    calibrations = {
+        "shipped": result.calibration,
+        "fitted": replace(fitted.calibration, fitted=dict(fitted.trained)),
+    }
     return {
         "fit_s": fit_s,
         "memory_mb": memory_mb,
+        "found": fitted.found,
+        "networks": [asdict(report) for report in fitted.networks],
         "reports": {report.name: report.kept for report in fitted.networks},
         "cost": cost(sensor, calibrations),
         "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
@@ -246,10 +270,12 @@ def of_case(case: str, folder: Path | None) -> dict[str, Any]:
         found: dict[str, object] = json.loads(kept.read_text())
         if found["program"] == program():
             return found
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        made = {"program": program(), **pool.submit(measured, case).result()}
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        work = pool.submit(measured, case, kept and kept.with_suffix(".npz"))
+        made = {"program": program(), **work.result()}
+    if kept:
         kept.write_text(json.dumps(made))
     return made
 
