@@ -29,7 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
     "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
     "replay": ("replay", "reconstruct a recording again and write or publish the results, or compare two runs"),
-    "export": ("export", "convert a recording to MCAP, a LeRobot data set, CSV or PLY for other tools"),
+    "export": ("export", "convert a recording to MCAP, CSV or PLY for other tools"),
     "dashboard": (
         "dashboard",
         "serve a web page with live height maps, a 3-D view and sensor health; the page needs no internet access",

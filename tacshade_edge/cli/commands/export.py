@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from tacshade_edge.cli.shared.options import add_option, add_profile, warn
@@ -12,24 +13,24 @@ from tacshade_edge.daemon.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.exports.files import CsvExport, Export, PlyExport
+from tacshade_edge.storage.exports.files import Add, csv_export, ply_export, write_hand_csv
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.types import Calibration
 
 SENSOR_ID = "replay"
-SUFFIXES = {"mcap": ".mcap", "csv": ".csv", "ply": "-ply", "lerobot": "-lerobot"}
+SUFFIXES = {"mcap": ".mcap", "csv": ".csv", "ply": "-ply"}
 """For each format, what follows the recording's name if --out is missing."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    text = "output format; mcap and lerobot each need the extra of the same name"
+    text = "output format; mcap needs the extra of the same name"
     parser.add_argument("--to", choices=tuple(SUFFIXES), required=True, help=text)
     add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
-    text = "file to create (for ply and lerobot: folder to create; default: next to the recording)"
+    text = "file to create (for ply: folder to create; default: next to the recording)"
     add_option(parser, "--out", "PATH", text)
     text = "recording that `replay` can read; to export a hand (csv or mcap), give one recording per finger"
     add_option(parser, "input", "RECORDING", text, nargs="+")
@@ -46,14 +47,10 @@ def run(args: argparse.Namespace) -> int:
             warn(f"{path}: {line}")
     content = content_of(path)
     calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
-    export = _begin(args.to, out, calibration, args.profile, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
-    try:
-        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=warn)
-        export.finish()
-    finally:
-        export.discard()
+    with _export(args.to, out, calibration, args.profile, content) as add:
+        replay(recording, reconstructor, [add], progress, speed=None, undecodable=warn)
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
     print(f"{out}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
     return 1 if progress.undecodable else 0
@@ -68,43 +65,41 @@ def _export_hand(args: argparse.Namespace) -> int:
         raise ConfigError(f"--calibration: found a calibration for several recordings, {expected}")
     if args.out is None:
         raise ConfigError("--out: found no file name, expected the name of a new file to export several recordings to")
+    from tacshade_edge.factories.hand_recordings import read_hand
+
     if args.to == "mcap":
         require_mcap()
-    from tacshade_edge.factories.hand_recordings import read_hand
-    from tacshade_edge.storage.exports.hand_export import write_csv, write_mcap
+        from tacshade_edge.storage.exports.mcap_export import write_hand_mcap
 
-    hand = read_hand(args.input, args.profile)
-    if args.to == "csv":
-        count = write_csv(args.out, hand.fingers, hand.messages)
+        hand = read_hand(args.input, args.profile)
+        count = write_hand_mcap(args.out, hand.hand_id, hand.messages)
     else:
-        count = write_mcap(args.out, hand.hand_id, hand.messages)
+        hand = read_hand(args.input, args.profile)
+        count = write_hand_csv(args.out, hand.fingers, hand.messages)
     left_out = f", {len(hand.unread)} images unreadable" if hand.unread else ""
     print(f"{args.out}: {count} messages of {len(hand.fingers)} fingers{left_out}")
     return 1 if hand.unread else 0
 
 
-def _begin(to: str, out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
-    """Begin an export; a format is imported on demand if it needs extra packages."""
-    # The quantities of a touch: those learned from labels, or those known without labels.
-    touch = calibration.touch[profile].names if profile in calibration.touch else PLAIN
+def _export(
+    to: str, out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]
+) -> AbstractContextManager[Add]:
+    """The export; MCAP's is imported on demand, because it needs extra packages."""
     if to == "csv":
-        return CsvExport(out, touch)
+        # The quantities of a touch: those learned from labels, or those known without labels.
+        return csv_export(out, calibration.touch[profile].names if profile in calibration.touch else PLAIN)
     if to == "ply":
-        return PlyExport(out)
-    if to == "lerobot":
-        from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
-
-        return LeRobotExport(out, touch)
+        return ply_export(out)
     require_mcap()
     from tacshade_edge.factories.hand_recordings import recorded_settings
-    from tacshade_edge.storage.exports.mcap_export import McapExport
+    from tacshade_edge.storage.exports.mcap_export import mcap_export
 
     try:
         settings = recorded_settings(content)
     except ConfigError:  # the settings of another version of this program
         settings = None
     sensor_id = SENSOR_ID if settings is None else settings.sensor_id
-    return McapExport(out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content)
+    return mcap_export(out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content)
 
 
 def _beside(recording: Path, to: str) -> Path:

@@ -1,85 +1,67 @@
-"""Exports of a recording as CSV and PLY, and what all exports share; each file appears whole or not at all."""
+"""Exports of recordings as CSV and PLY; each file or folder appears whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
 import json
+import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import encode_contact, touch_fields
+from tacshade_edge.protocol.topics import Finger, HandObjects, Motion
 from tacshade_edge.reasons import ReasonCode, code_of
 from tacshade_edge.storage.atomic_files import disk_errors, part, require_free, sync
 from tacshade_edge.storage.meshes import ply
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
 
-POSE_COLUMNS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+Add = Callable[[RecordedFrame, Reconstruction], None]
+"""Takes the next frame; an export is a context that gives one, and completes the file when its block ends."""
 
-
-class Export(Protocol):
-    """Takes every frame in order, then `finish` or `discard`; the methods raise DeviceError if the disk fails."""
-
-    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Add the next frame."""
-
-    def finish(self) -> None:
-        """Complete the export and move it to its final name."""
-
-    def discard(self) -> None:
-        """Remove an unfinished export; after `finish` do nothing."""
-
-
-class NewPlace:
-    """An unused name and the ``.part`` in which a file or folder grows; a leftover ``.part`` is removed.
-
-    Raises ConfigError if the name exists already, and DeviceError if the disk is nearly full or cannot be written.
-    """
-
-    def __init__(self, path: Path) -> None:
-        if path.exists():
-            found = f"{path}: already exists, expected a new name (--out)"
-            raise ConfigError(found, code=ReasonCode.NAME_TAKEN)
-        self.path, self.partial = path, part(path)
-        with self.writing():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self.discard()
-        require_free(path.parent)
-
-    def writing(self) -> contextlib.AbstractContextManager[None]:
-        """Turn an OSError into a DeviceError."""
-        return disk_errors(self.path)
-
-    def take(self) -> None:
-        """Wait until the ``.part`` is on the disk, and rename it to the final name."""
-        with self.writing():
-            for path in (self.partial, *self.partial.rglob("*")):
-                sync(path)
-            self.partial.rename(self.path)
-            sync(self.path.parent)
-
-    def discard(self) -> None:
-        """Remove the ``.part``."""
-        if self.partial.is_dir():
-            shutil.rmtree(self.partial, ignore_errors=True)
-        else:
-            self.partial.unlink(missing_ok=True)
+_AXES: Final = "xyz"
+_MOTION: Final = (
+    *("motion_since_ns", *(f"about_{axis}_mm" for axis in _AXES)),
+    *(f"translation_{axis}_mm" for axis in _AXES),
+    *(f"rotation_{axis}_deg" for axis in _AXES),
+    *(f"sigma_translation_{axis}_mm" for axis in _AXES),
+    *(f"sigma_rotation_{axis}_deg" for axis in _AXES),
+    *("unobservable", "left_out"),
+)
 
 
 @contextlib.contextmanager
-def new_file(path: Path) -> Iterator[Path]:
-    """The temporary name of a new file, which gets its final name when the block ends. Raises like `NewPlace`."""
-    place = NewPlace(path)
-    try:
-        with place.writing():
-            yield place.partial
-        place.take()
-    finally:
-        place.discard()
+def new_path(path: Path) -> Iterator[Path]:
+    """The ``.part`` of a new file or folder, which gets its final name when the block ends; an error removes it.
+
+    Raises ConfigError if the name exists already, and DeviceError if the disk is nearly full or cannot be written.
+    """
+    if path.exists():
+        raise ConfigError(f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN)
+    partial = part(path)
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        require_free(path.parent)
+        _remove(partial)
+        try:
+            yield partial
+            for written in (partial, *partial.rglob("*")):
+                sync(written)
+            partial.rename(path)
+            sync(path.parent)
+        finally:
+            _remove(partial)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
@@ -90,84 +72,84 @@ def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str
     return numbers
 
 
-def touch_numbers(result: Reconstruction, names: Sequence[str]) -> tuple[list[float | None], list[float | None]]:
-    """The named quantities of the touch, and their standard deviations; None if unknown."""
-    fields = touch_fields(result.touch)
-    values, sigmas = ([(fields[key] or {}).get(name) for name in names] for key in ("touch", "touch_sigma"))
-    return values, sigmas
+@contextlib.contextmanager
+def csv_export(path: Path, touch_names: Sequence[str]) -> Iterator[Add]:
+    """A CSV file with a row per frame and empty cells for missing values; `touch_names` are a touch's quantities."""
+    with new_path(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        header: list[str] = []
+
+        def add(recorded: RecordedFrame, result: Reconstruction) -> None:
+            numbers = _frame_numbers(recorded, result, touch_names)
+            if not header:
+                header.extend(numbers)
+                writer.writerow(header)
+            writer.writerow(numbers.values())
+
+        yield add
 
 
-def frame_numbers(recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]) -> dict[str, Any]:
+def _frame_numbers(recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]) -> dict[str, Any]:
     """A table row: image, times, the numbers of contact and touch, ``base_T_flange``; None for a missing value."""
-    values, sigmas = touch_numbers(result, touch_names)
-    frame = recorded.frame
-    pose = frame.pose
+    touch, frame = touch_fields(result.touch), recorded.frame
     return {
         "image": recorded.name,
         "valid": int(result.valid),
         "saturated": int(result.saturated),
         **contact_numbers(recorded, result),
-        **{f"touch_{name}": value for name, value in zip(touch_names, values, strict=True)},
-        **{f"touch_sigma_{name}": value for name, value in zip(touch_names, sigmas, strict=True)},
+        **{f"{key}_{name}": (touch[key] or {}).get(name) for key in touch for name in touch_names},
         "touch_reason_code": code_of(None if result.touch is None else result.touch.reason),
-        **{f"flange_{name}": None if pose is None else float(getattr(pose, name)) for name in POSE_COLUMNS},
-        "pose_error_us": None if pose is None else frame.pose_error_us,
+        **{
+            f"flange_{name}": None if frame.pose is None else float(getattr(frame.pose, name))
+            for name in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+        },
+        "pose_error_us": None if frame.pose is None else frame.pose_error_us,
     }
 
 
-class CsvExport:
-    """A CSV file with a row per frame and empty cells for missing values; `touch_names` are a touch's quantities."""
-
-    def __init__(self, path: Path, touch_names: Sequence[str]) -> None:
-        self._touch_names = touch_names
-        self._place = NewPlace(path)
-        with self._place.writing():
-            self._stream = self._place.partial.open("w", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._frames = 0
-
-    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write a row."""
-        numbers = frame_numbers(recorded, result, self._touch_names)
-        with self._place.writing():
-            if self._frames == 0:
-                self._writer.writerow(numbers)
-            self._writer.writerow("" if value is None else value for value in numbers.values())
-        self._frames += 1
-
-    def finish(self) -> None:
-        """Complete the file and move it to its final name."""
-        with self._place.writing():
-            self._stream.close()
-        self._place.take()
-
-    def discard(self) -> None:
-        """Remove the unfinished file."""
-        self._stream.close()
-        self._place.discard()
-
-
-class PlyExport:
+@contextlib.contextmanager
+def ply_export(folder: Path) -> Iterator[Add]:
     """A folder of ``SEQ.ply`` files: points of the skin in contact in mm, sensor frame, with their object's number."""
+    with new_path(folder) as partial:
+        partial.mkdir()
 
-    def __init__(self, folder: Path) -> None:
-        self._place = NewPlace(folder)
-        with self._place.writing():
-            self._place.partial.mkdir()
+        def add(recorded: RecordedFrame, result: Reconstruction) -> None:
+            if result.contact:
+                comment = f"millimetres, sensor frame, t_ns {result.t_ns}"
+                data = ply(result.cloud.points_mm, comment, result.cloud.labels)
+                (partial / f"{recorded.frame.seq:06d}.ply").write_bytes(data)
 
-    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write the cloud of a frame in contact."""
-        if not result.contact:
-            return
-        comment = f"millimetres, sensor frame, t_ns {result.t_ns}"
-        with self._place.writing():
-            path = self._place.partial / f"{recorded.frame.seq:06d}.ply"
-            path.write_bytes(ply(result.cloud.points_mm, comment, result.cloud.labels))
+        yield add
 
-    def finish(self) -> None:
-        """Complete the folder and move it to its final name."""
-        self._place.take()
 
-    def discard(self) -> None:
-        """Remove the unfinished folder."""
-        self._place.discard()
+def write_hand_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandObjects]) -> int:
+    """Write a row per message of a hand; return the number of rows. Raises like `new_path`."""
+    rows = 0
+    with new_path(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        of_fingers = (f"{name}_{key}" for name in fingers for key in _finger(Finger(state="away")))
+        writer.writerow(("t_ns", "wall_ns", "seq", *_MOTION, *of_fingers))
+        for rows, message in enumerate(messages, 1):  # noqa: B007
+            motion = [None] * len(_MOTION) if message.motion is None else _motion(message.motion)
+            values = (value for name in fingers for value in _finger(message.fingers[name]).values())
+            writer.writerow((message.t_ns, message.wall_ns, message.seq, *motion, *values))
+    return rows
+
+
+def _motion(motion: Motion) -> list[Any]:
+    sigmas = [round(math.sqrt(max(0.0, motion.covariance[7 * k])), 4) for k in range(6)]
+    return [
+        *(motion.since_ns, *motion.about_mm, *motion.translation_mm, *motion.rotation_deg),
+        *(*sigmas, len(motion.unobservable), " ".join(motion.left_out)),
+    ]
+
+
+def _finger(finger: Finger) -> dict[str, Any]:
+    greatest = finger.objects[0] if finger.objects else None
+    return {
+        "state": finger.state,
+        "seq": finger.seq,
+        "margin": finger.margin,
+        "depth_max_mm": None if greatest is None else greatest.depth_max_mm,
+        "slip": None if greatest is None else greatest.slip,
+    }

@@ -1,14 +1,20 @@
-"""Exports frames, results and a recording's other files as one MCAP file for Foxglove, Lichtblick and Rerun."""
+"""Exports of recordings as one MCAP file for Foxglove, Lichtblick and Rerun; docs/how-to/recordings.md has the topics.
+
+It needs the extra ``mcap``.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.messages import encode_touch
-from tacshade_edge.storage.exports.files import NewPlace, contact_numbers
+from tacshade_edge.protocol.topics import HandObjects
+from tacshade_edge.storage.exports.files import Add, contact_numbers, new_path
 from tacshade_edge.storage.recording.mcap.writer import (
     McapWriter,
     cloud_message,
@@ -18,66 +24,62 @@ from tacshade_edge.storage.recording.mcap.writer import (
 )
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import RecordedFrame
-from tacshade_edge.storage.recording.recording_content import Event, events_in
+from tacshade_edge.storage.recording.recording_content import events_in
 from tacshade_edge.types import Calibration, Reconstruction
 from tacshade_edge.version import installed_version
 
 
-class McapExport:
-    """One MCAP file; docs/how-to/recordings.md lists its topics.
+@contextlib.contextmanager
+def mcap_export(
+    path: Path, *, sensor_id: str, calibration: Calibration, profile: str, content: Mapping[str, bytes]
+) -> Iterator[Add]:
+    """Frames and results; the recording's other files (`content`) become attachments, and the events also log lines."""
+    events = list(events_in(dict(content)))
+    wall_minus_t_ns: int | None = None
+    with new_path(path) as partial, partial.open("wb") as stream:
+        writer = McapWriter(stream, sensor_id)
+        about = {"version": installed_version(), "profile": profile, "calibration_crc32": str(calibration.crc32)}
+        writer.describe("tacshade", about | {"sensor_id": sensor_id})
+        for name, data in content.items():
+            writer.attach(name, data, 0)
 
-    The recording's other files (`content`) become attachments, and the events also log lines.
-    """
+        def log(until_ns: float) -> None:
+            while events and events[0].t_ns <= until_ns:
+                event = events.pop(0)
+                wall_ns = max(0, event.t_ns + (wall_minus_t_ns or 0))
+                text = f"{event.kind}: {json.dumps(event.data)}" if event.data else event.kind
+                writer.write("log", log_message("recorder", text, wall_ns), wall_ns)
 
-    def __init__(
-        self, path: Path, *, sensor_id: str, calibration: Calibration, profile: str, content: Mapping[str, bytes]
-    ) -> None:
-        self._place = NewPlace(path)
-        with self._place.writing():
-            self._stream = self._place.partial.open("wb")
-            self._writer = McapWriter(self._stream, sensor_id)
-            about = {"version": installed_version(), "profile": profile, "calibration_crc32": str(calibration.crc32)}
-            self._writer.describe("tacshade", about | {"sensor_id": sensor_id})
-            for name, data in content.items():
-                self._writer.attach(name, data, 0)
-        self._sensor_id, self._flange_T_sensor = sensor_id, calibration.flange_T_sensor
-        self._events = list(events_in(dict(content)))
-        self._first = True
-        self._wall_minus_t_ns = 0
+        def add(recorded: RecordedFrame, result: Reconstruction) -> None:
+            nonlocal wall_minus_t_ns
+            frame, wall_ns = recorded.frame, recorded.wall_ns
+            is_first, wall_minus_t_ns = wall_minus_t_ns is None, wall_ns - frame.t_ns
+            log(frame.t_ns)
+            if is_first:
+                mounted = transform_message(calibration.flange_T_sensor, "flange", "sensor", sensor_id, wall_ns)
+                writer.write("tf", mounted, wall_ns)
+            writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
+            results = {
+                "height": height_message(result.height.height_mm, sensor_id, wall_ns),
+                "cloud": cloud_message(result.cloud, sensor_id, wall_ns),
+                "contact": json.dumps(contact_numbers(recorded, result)).encode(),
+                "touch": encode_touch(replace(result, wall_ns=wall_ns)),
+            }
+            for name, payload in results.items():
+                writer.write(name, payload, wall_ns, frame.seq)
 
-    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
-        """Write the events before a frame, the frame and its results."""
-        frame, wall_ns, ident = recorded.frame, recorded.wall_ns, self._sensor_id
-        self._wall_minus_t_ns = wall_ns - frame.t_ns
-        with self._place.writing():
-            while self._events and self._events[0].t_ns <= frame.t_ns:
-                self._log(self._events.pop(0))
-            if self._first:
-                self._first = False
-                mounted = transform_message(self._flange_T_sensor, "flange", "sensor", ident, wall_ns)
-                self._writer.write("tf", mounted, wall_ns)
-            self._writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
-            self._writer.write("height", height_message(result.height.height_mm, ident, wall_ns), wall_ns, frame.seq)
-            self._writer.write("cloud", cloud_message(result.cloud, ident, wall_ns), wall_ns, frame.seq)
-            contact = json.dumps(contact_numbers(recorded, result)).encode()
-            self._writer.write("contact", contact, wall_ns, frame.seq)
-            self._writer.write("touch", encode_touch(replace(result, wall_ns=wall_ns)), wall_ns, frame.seq)
+        yield add
+        log(float("inf"))
+        writer.finish()
 
-    def finish(self) -> None:
-        """Complete the file and move it to its final name."""
-        with self._place.writing():
-            for event in self._events:
-                self._log(event)
-            self._writer.finish()
-            self._stream.close()
-        self._place.take()
 
-    def discard(self) -> None:
-        """Remove the unfinished file."""
-        self._stream.close()
-        self._place.discard()
-
-    def _log(self, event: Event) -> None:
-        wall_ns = max(0, event.t_ns + self._wall_minus_t_ns)
-        text = f"{event.kind}: {json.dumps(event.data)}" if event.data else event.kind
-        self._writer.write("log", log_message("recorder", text, wall_ns), wall_ns)
+def write_hand_mcap(path: Path, hand_id: str, messages: Iterable[HandObjects]) -> int:
+    """Write the topic ``/tacshade/hand/ID/objects``; return the number of messages. Raises like `new_path`."""
+    count = 0
+    with new_path(path) as partial, partial.open("wb") as stream:
+        writer = McapWriter(stream, f"hand/{hand_id}")
+        writer.describe("tacshade", {"version": installed_version(), "hand_id": hand_id})
+        for count, message in enumerate(messages, 1):  # noqa: B007
+            writer.write("objects", encode_hand(message), message.wall_ns, message.seq)
+        writer.finish()
+    return count
