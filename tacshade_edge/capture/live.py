@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 import os
 import select
-import termios
 import time
-import tty
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TextIO
 
@@ -43,21 +39,6 @@ class Terminal:
         self._is_live = out.isatty()
         self._typed = b""
         self._shown = ""
-        self._keys = False
-
-    @contextlib.contextmanager
-    def keys(self) -> Iterator[None]:
-        """Within this context, any key counts as a line; keys typed before are discarded."""
-        before = termios.tcgetattr(self._descriptor) if os.isatty(self._descriptor) else None
-        if before is not None:
-            tty.setcbreak(self._descriptor)  # discards unread input
-        self._keys, self._typed = True, b""
-        try:
-            yield
-        finally:
-            self._keys, self._typed = False, b""
-            if before is not None:
-                termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, before)
 
     def line(self) -> str | None:
         """Return the next typed line, stripped; None if there is none yet. Raises InputEnded."""
@@ -67,7 +48,7 @@ class Terminal:
                 raise InputEnded
             self._typed += data
         line, end, rest = self._typed.partition(b"\n")
-        if not end and not (self._keys and line):
+        if not end:
             return None
         self._typed, self._shown = rest, ""
         return line.decode(errors="replace").strip()
@@ -184,9 +165,9 @@ class Live:
                 self._looking = False
                 return line
 
-    def still_frame(self, limit_s: float = math.inf) -> Frame | None:
-        """Wait until the picture stands still and return that frame; None if the person typed a line first. Raises
-        DeviceError (the picture did not settle within `limit_s`; and as `frame`).
+    def still_frame(self) -> Frame | None:
+        """Wait until the picture stands still and return that frame; None if the person typed a line first. Raises as
+        `frame`.
         """
         self._past.clear()
         began_s, hinted = time.monotonic(), False
@@ -197,8 +178,6 @@ class Live:
                 return frame
             if self._terminal.line() is not None:
                 return None
-            if time.monotonic() - began_s > limit_s:
-                raise DeviceError(f"the picture did not settle within {limit_s:.0f} s")
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
                 figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"

@@ -30,8 +30,7 @@ DOCUMENTS = sorted(
 SETTINGS = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 """git fills the file in when it makes an archive, which has no history. Any other tree without one fails."""
-OF_A_MACHINE = re.compile(r"(?<![\w.>)~/])/(?:home|root|tmp|work|mnt|Users)/(?!printer\b)[\w.-]+")
-"""`/tmp/printer` is where Klipper's own documentation has its port."""
+OF_A_MACHINE = re.compile(r"(?<![\w.>)~/])/(?:home|root|tmp|work|mnt|Users)/[\w.-]+")
 
 
 def name(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""A file of several sensors and one of a printer, and numbers as a person reads them in every file that we read."""
+"""A file of several sensors, and numbers as a person reads them in every file that we read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Rpicam, Serial, Simulated, load, load_all, load_hand, strict_yaml
-from tacshade_edge.settings.sensor_file import read_printer, read_sensor
+from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage.tables.indenters import read_indenters_file
 
 TWO = """\
@@ -186,13 +186,11 @@ def test_a_robots_line_is_shared_and_one_may_have_its_own_or_none(tmp_path: Path
 
 
 SENSOR = "skin_radius_mm: {}\nvisible_half_angle_deg: 50\npolarity: bright\n"
-PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [{}, 200]\nstart_mm: [110, 110, 90]\nfeed_mm_s: 50\n"
 FILES: list[tuple[str, Callable[[Path], object]]] = [
     ("source: {{kind: simulated}}\nserial: {{device: /dev/ttyUSB0, baud: {}}}\n", load),
     ("source: {{kind: v4l2, width: {}}}\n", load),
     (SENSOR, read_sensor),
     ("flange_T_sensor: [{}, 0, 0, 1, 0, 0, 0]\n" + SENSOR.format(20), read_sensor),
-    (PRINTER, read_printer),
     ("pin: {{shape: ball, radius_mm: {}}}\n", read_indenters_file),
 ]
 
@@ -238,42 +236,3 @@ def test_every_number_that_python_writes_comes_back(tmp_path_factory: pytest.Tem
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(f"a: {number!r}\n")
     assert strict_yaml.read(path)[0] == {"a": number}
-
-
-GOOD = "x_mm: [0, 220]\ny_mm: [-5, 215]\nz_mm: [40, 200]\nstart_mm: [110, 105, 90.5]\nfeed_mm_s: 50\n"
-
-
-def test_what_is_stated_of_a_printer(tmp_path: Path) -> None:
-    path = tmp_path / "PRINTER.yaml"
-    path.write_text(GOOD)
-    printer = read_printer(path)
-    assert (printer.z_mm, printer.start_mm, printer.feed_mm_s, printer.baud) == (
-        [40, 200],
-        [110, 105, 90.5],
-        50,
-        115200,
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("[0, 220]", "[220, 0]", ":1: x_mm: found 220 to 0, expected the minimum before the maximum"),
-        (
-            "[0, 220]",
-            "[0]",
-            ":1: x_mm: found a list of 1, expected a list of 2 numbers (two numbers, the least and the most)",
-        ),
-        ("[0, 220]", "[0, far]", ":1: x_mm.1: found far, expected a number from -2000 to 2000"),
-        ("90.5", "30", ":4: start_mm: found z 30, expected a value within z_mm (40 to 200)"),
-        ("feed_mm_s: 50", "feed_mm_s: 500", ":5: feed_mm_s: found 500, expected a number from 1 to 100"),
-        ("feed_mm_s: 50", "", ": feed_mm_s: found nothing, expected a number from 1 to 100"),
-        ("feed_mm_s", "feed_mm_min", ":5: feed_mm_min: found an unknown key, expected one of"),
-    ],
-)
-def test_mistakes_are_told_with_their_line(tmp_path: Path, old: str, new: str, said: str) -> None:
-    path = tmp_path / "PRINTER.yaml"
-    path.write_text(GOOD.replace(old, new))
-    with pytest.raises(ConfigError) as caught:
-        read_printer(path)
-    assert f"{path}{said}" in str(caught.value)

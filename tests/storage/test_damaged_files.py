@@ -25,7 +25,7 @@ from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import DecodeError, TacshadeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.settings import load
-from tacshade_edge.settings.sensor_file import read_printer, read_sensor
+from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file, reference_file
 from tacshade_edge.storage.calibration.reference_file import StoredReference
@@ -130,10 +130,6 @@ TEXTS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "skin_radius_mm: 20\ncamera_distance_mm: 14.5\nvisible_half_angle_deg: 50\npolarity: dark\n"
         "alpha: 3\nbinarisation: otsu\nflange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n",
         read_sensor,
-    ),
-    "PRINTER.yaml": (
-        "x_mm: [0, 200]\ny_mm: [0, 200]\nz_mm: [20, 180]\nstart_mm: [100, 100, 60]\nfeed_mm_s: 20\nbaud: 250000\n",
-        read_printer,
     ),
     "INDENTERS.yaml": (
         "small: {shape: ball, radius_mm: 3}\nflat: {shape: cylinder, radius_mm: 4, length_mm: 20}\n"

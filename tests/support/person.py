@@ -42,9 +42,6 @@ class Person:
     def types(self, line: str) -> None:
         os.write(self._leader, f"{line}\n".encode())
 
-    def types_key(self, key: str) -> None:
-        os.write(self._leader, key.encode())
-
     def ends(self) -> int:
         """Wait until the command ends; return its exit code."""
         while data := self._read():
@@ -70,14 +67,3 @@ def person(*words: str, python: str = sys.executable, folder: Path | None = None
         yield started
     finally:
         started.close()
-
-
-def goes_to_the_skin(one: Person) -> None:
-    """With a printer: home it, mount the sensor, take references, until the head looks for the skin."""
-    one.hears("then type home (G28)")
-    one.types("home")
-    one.hears("Mount the sensor under the head")
-    one.types("")
-    one.hears("Enter takes 10 references")
-    one.types("")
-    one.hears("looking for the skin")

@@ -15,9 +15,6 @@ import yaml
 from tacshade_edge.capture.label_session import LabelSession
 from tacshade_edge.capture.live import InputEnded, Live, Terminal
 from tacshade_edge.capture.page import Page
-from tacshade_edge.capture.printer.line import PrinterLine
-from tacshade_edge.capture.printer.plan import planned_presses
-from tacshade_edge.capture.printer.pressing import Pressing
 from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
 from tacshade_edge.capture.scale import BAUD, Scale, scale_port
 from tacshade_edge.capture.session import Session
@@ -27,14 +24,13 @@ from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_node import Lock
-from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import sources
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
-from tacshade_edge.settings.sensor_file import check_value, read_printer, read_sensor, with_visible_circle
+from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
 from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
@@ -49,8 +45,6 @@ _QUESTIONS = {
     "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
 }
 _MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
-_PRINTER_WRITE_S = 2.0
-"""A busy board must not look like a printer that hangs: that stops the presses with M112."""
 _CAPTURING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capture is taking references and presses")
 
 
@@ -71,8 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sensor(parser)
     text = "suggest the presses in this table, which has the same columns as PRESSES.csv"
     add_option(parser, "--plan", "PLAN.csv", text)
-    text = "let the 3-D printer on this serial port make the presses in --plan (needs DIR/PRINTER.yaml)"
-    add_option(parser, "--printer", "PORT", text, str)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,10 +75,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.scale is not None and args.labels is None:
         raise ConfigError("--scale: found no --labels DIR, expected both options")
-    if args.labels is not None and (args.plan or args.printer):
-        raise ConfigError("--labels: found --plan or --printer too, expected --labels without them")
-    if args.printer is not None and args.plan is None:
-        raise ConfigError("--printer: found no --plan, expected both options; --indenters DIR writes a plan")
+    if args.labels is not None and args.plan:
+        raise ConfigError("--labels: found --plan too, expected --labels without it")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
@@ -129,22 +119,7 @@ def _session(
             robot = RobotLabels(sensor, pose_at) if pose_at else None
             LabelSession(LabelFolder(args.labels), live, terminal, scale, robot).run()
 
-    if args.printer is None:
-        return labelling if args.labels else by_hand
-    limits = read_printer(folder.printer)
-    presses = planned_presses(plan, indenters, sensor, limits)
-    line = PrinterLine(SerialPort(args.printer, limits.baud, _PRINTER_WRITE_S))
-
-    def by_printer(live: Live) -> None:
-        try:
-            session = Session(folder, sensor, live, terminal, (), indenters)
-            pressing = Pressing(session, live, terminal, line, limits, sensor, presses)
-            line.connect()
-            pressing.run()
-        finally:
-            line.close()
-
-    return by_printer
+    return labelling if args.labels else by_hand
 
 
 def _run(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Final, TextIO
 
-from tacshade_edge.cli.shared.jpeg_lines import log_jpeg_lines
 from tacshade_edge.quoting import escaped
 
 AT_ONCE: Final = 10
@@ -49,7 +48,6 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
 def start_logging(level: int, sensor_id: str = "") -> None:
     """Log to stderr, with time stamps unless the journal adds them and with `sensor_id`, if given, in each line."""
     logging.basicConfig(level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True)
-    log_jpeg_lines()
     # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
         logging.getLogger(name).setLevel(max(level, logging.INFO))

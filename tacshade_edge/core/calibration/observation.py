@@ -17,11 +17,10 @@ import numpy as np
 
 from tacshade_edge.core.calibration.indenters import Ball, Indenter, PlacedIndenter, place
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.geometry.disc import DiscRays, skin_points
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, F64, Calibration, Geometry
+from tacshade_edge.types import F32, F64, Geometry
 
 # ℓ of the screened Poisson equation, in skin radii.
 REACH_RADII = 0.4
@@ -144,14 +143,6 @@ def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPr
         touch_mm=touch_mm,
         reach_mm=reach_mm,
     )
-
-
-def pictured_places(unloaded: Calibration, presses: Sequence[KnownPress]) -> F64:
-    """The places where the images show the balls of presses: float64 (N, 2), x and y in mm in the sensor frame."""
-    preprocessor = Preprocessor(unloaded, PROFILE)
-    mapper = GreyMapper(preprocessor)
-    observed = [observe_press(preprocessor, mapper, press) for press in presses]
-    return np.array([(o.located_x_mm, o.located_y_mm) for o in observed])
 
 
 def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -> PlacedIndenter:

@@ -31,14 +31,12 @@ class SerialPort:
     """One port, opened and closed as often as needed. All methods belong to one thread, except `wake`.
 
     `device`: a path under /dev, preferably under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``). `baud`:
-    bits per second; USB devices without a UART ignore it. `write_s`: longest time that `write` waits, s. On a busy
-    board, pyserial counts the time when the program does not run.
+    bits per second; USB devices without a UART ignore it.
     """
 
-    def __init__(self, device: str, baud: int, write_s: float = WRITE_S) -> None:
+    def __init__(self, device: str, baud: int) -> None:
         self.device = device
         self.baud = baud
-        self._write_s = write_s
         self._low_latency = ""
         self._proven = False
         self._port: serial.Serial | None = None
@@ -58,7 +56,7 @@ class SerialPort:
         try:
             port = serial.serial_for_url(self.device, do_not_open=True)
             port.baudrate = self.baud
-            port.timeout, port.write_timeout = READ_S, self._write_s
+            port.timeout, port.write_timeout = READ_S, WRITE_S
             port.exclusive = True
             port.open()
         except ValueError as error:  # pyserial: the port does not support this rate
@@ -78,7 +76,7 @@ class SerialPort:
             raise self._failed(error) from error
 
     def write(self, data: bytes) -> bool:
-        """Write bytes; return False if the port did not take all within `write_s`: nobody reads at the other end."""
+        """Write bytes; return False if the port did not take all within `WRITE_S`: nobody reads at the other end."""
         port = self._opened()
         try:
             port.write(data)

@@ -16,7 +16,6 @@ from tacshade_edge.storage.tables.tables import number, read_rows
 from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
-PRINTER = "PRINTER.yaml"
 REFERENCES = "reference_*.png"
 
 
@@ -101,7 +100,7 @@ class CaptureFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.sensor, self.settings = path / SENSOR, path / SETTINGS
-        self.presses, self.indenters, self.printer = path / PRESSES, path / INDENTERS, path / PRINTER
+        self.presses, self.indenters = path / PRESSES, path / INDENTERS
 
     def make(self) -> None:
         """Make the folder if it does not exist."""

@@ -205,7 +205,6 @@ def test_what_cannot_work_is_one_line(
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
         "--camera /dev/none: found another source in": ["--camera", "/dev/none"],
         "--scale: found no --labels DIR": ["--scale", "/dev/ttyUSB0"],
-        "--printer: found no --plan": ["--config", str(config), "--printer", "/dev/no-such-port"],
     }
     (out / "config.yaml").write_text(config.read_text())
     for said, words in cases.items():

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.core.calibration.indenters import box, cylinder
@@ -14,74 +14,14 @@ from tacshade_edge.core.calibration.machine import (
     first_touch_mm,
     fixed_indenter,
     from_travel,
-    skin_centre,
-    stand,
-    yaw_of,
 )
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.types import F64
 
-RING = np.array([(math.cos(a), math.sin(a)) for a in np.arange(6) + 0.2])
 R_MM = 20.0
 angles = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 places = st.tuples(*[st.floats(-500.0, 500.0)] * 3)
 TOUCHES = st.builds(Touch, st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(0.1, 6.0))
-
-
-def touches(centre_mm: F64, r: float, ball_mm: float, places_mm: F64) -> F64:
-    z = np.sqrt((r + ball_mm) ** 2 - (places_mm**2).sum(axis=1)) - ball_mm
-    return centre_mm + np.column_stack((places_mm, z))
-
-
-@given(
-    st.floats(10, 40),
-    st.floats(1, 12),
-    st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(-300, 300)),
-    st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
-)
-def test_the_centre_is_found_wherever_the_touches_lie(
-    r: float, ball_mm: float, centre: tuple[float, float, float], beside: tuple[float, float]
-) -> None:
-    places = np.vstack(((0, 0), 0.2 * r * RING, 0.4 * r * RING)) + beside
-    assume(float(np.hypot(*places.T).max()) < 0.9 * r)
-    found, rms_mm = skin_centre(touches(np.array(centre), r, ball_mm, places), r, ball_mm)
-    assert np.abs(found - centre).max() < 1e-6
-    assert rms_mm < 1e-6
-
-
-def test_another_skin_is_refused() -> None:
-    places = np.vstack(((0, 0), 8 * RING))
-    with pytest.raises(
-        ConfigError,
-        match=r"expected at most 0\.13 mm; is the skin upright, and are the radii right \(skin 32 mm, ball 6 mm\)",
-    ):
-        skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
-
-
-@given(st.floats(-math.pi, math.pi), st.floats(0.7, 1.5))
-def test_the_yaw_is_that_of_the_pictures(yaw_rad: float, scale: float) -> None:
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    shown = 8 * RING
-    put = shown @ np.array(((c, s), (-s, c)))
-    found = yaw_of(put, shown / scale)
-    assert math.remainder(found - yaw_rad, 2 * math.pi) == pytest.approx(0, abs=1e-9)
-
-
-def test_mirrored_and_other_pictures_are_refused() -> None:
-    with pytest.raises(ConfigError, match="mirrored"):
-        yaw_of(8 * RING, 8 * RING * (1, -1))
-    with pytest.raises(ConfigError, match="from its stated places"):
-        yaw_of(8 * RING, 8 * RING[[0, 3, 1, 4, 2, 5]])
-    with pytest.raises(ConfigError, match="from its stated places"):
-        yaw_of(8 * RING, 0 * RING)
-
-
-def test_the_head_stands_where_a_press_is_stated() -> None:
-    found = stand(np.array((100.0, 90.0, 50.0)), math.radians(90), 20.0)
-    assert found.head_mm(0, 0, 1.5) == pytest.approx((100, 90, 68.5))
-    assert found.head_mm(12, 0, 1) == pytest.approx((100, 102, 50 + 16 - 1))  # x of the sensor is the machine's y
-    assert (found.yaw_deg, found.indenter_yaw_deg) == pytest.approx((90, -90))
 
 
 @given(st.floats(0, 12), st.floats(1, 10))

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serial import serialutil
 
 from tacshade_edge.devices.serial.port import SerialPort, check_kind
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -52,27 +51,6 @@ def test_a_port_is_for_one_program(line: tuple[int, str]) -> None:
         SerialPort(name, 115200).open()
     port.close()
     SerialPort(name, 115200).open()
-
-
-@pytest.mark.parametrize(("write_s", "taken"), [(0.1, False), (2.0, True)])
-def test_a_program_that_does_not_run_for_a_moment(
-    line: tuple[int, str], monkeypatch: pytest.MonkeyPatch, write_s: float, taken: bool
-) -> None:
-    # pyserial counts that time against the port, although the port took every byte.
-    whole, now = os.write, [0.0]
-
-    def starved(descriptor: int, data: bytes) -> int:
-        now[0] += 0.15
-        return whole(descriptor, data)
-
-    monkeypatch.setattr(serialutil.Timeout, "TIME", staticmethod(lambda: now[0]))
-    port = SerialPort(line[1], 115200, write_s)
-    port.open()
-    monkeypatch.setattr(os, "write", starved)
-    assert port.write(b"M114\n") is taken
-    monkeypatch.undo()
-    assert os.read(line[0], 10) == b"M114\n"
-    port.close()
 
 
 def test_an_end_that_reads_nothing_is_not_waited_for(line: tuple[int, str]) -> None:
