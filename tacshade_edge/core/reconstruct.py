@@ -161,8 +161,11 @@ class Reconstructor:
         objects = find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
+            made = self._empty(frame, degraded=degraded)
+            if features:  # a model of labels may know a touch that the map does not show
+                return self._with_touch(made, features, mark)
             self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
-            return self._empty(frame, degraded=degraded)
+            return made
         if need == Need.CONTACT:
             return None
         sigma_mm = None
@@ -202,12 +205,14 @@ class Reconstructor:
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
 
     def _with_touch(self, made: Reconstruction, features: list[F32] | None, mark: Mark) -> Reconstruction:
+        touch: Touch | None
         if isinstance(self._touch, Reason):
             touch = Touch(reason=self._touch)
         elif isinstance(self._touch, TouchModel) and features:
-            touch = touch_by_model(self._touch, np.concatenate(features), imprint_of(made.objects, made.volume_mm3))
+            imprint = imprint_of(made.objects, made.volume_mm3) if made.contact else None
+            touch = touch_by_model(self._touch, np.concatenate(features), imprint)
         else:
-            touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
+            touch = touch_without_labels(made.objects, made.shear_of_contact_mm) if made.contact else None
             if isinstance(self._touch, list) and features:
                 self._touch.append(np.concatenate(features))
         mark("touch")

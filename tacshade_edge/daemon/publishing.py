@@ -131,7 +131,7 @@ class Publisher(FrameObserver):
         self._has_listener = has_listener
         self._always_shear = always_shear
         self._sliding: frozenset[int | None] = frozenset()
-        self._contact = False
+        self._contact = self._touched = False
         self._contact_sent_ns: int | None = None
         self.fps = 0.0
 
@@ -163,7 +163,9 @@ class Publisher(FrameObserver):
             self._send("shear", wire.encode_shear, result, seen)
         if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
             self._send("sigma", wire.encode_sigma, result, seen)
-        if (result.touch is not None or (changed and not result.contact)) and self._has_listener("touch"):
+        touch_ended = result.touch is None and not result.contact and (changed or self._touched)
+        self._touched = result.touch is not None
+        if (self._touched or touch_ended) and self._has_listener("touch"):
             self._offer("touch", messages.encode_touch(result), result.seq)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:

@@ -164,18 +164,19 @@ class TouchEvents:
     def _due(self, asked: TouchAsked | None, result: Reconstruction) -> TouchSeen | None:
         if asked is None:
             return None
-        if not result.contact:
+        if (touch := result.touch) is None:
+            if result.contact:
+                return None  # the frame was begun before the request
             ended, self._touches = self._touches, False
             return TouchSeen(result.seq, result.t_ns, False, tuple((n, None) for n in asked.names)) if ended else None
-        if (touch := result.touch) is None:
-            return None  # the frame was begun before the request
         self._touches = True
         period_ns = 1_000_000_000 // asked.rate_hz
         if result.t_ns < self._due_ns - _JITTER * period_ns:
             return None
         on_time = result.t_ns - self._due_ns < period_ns
         self._due_ns = (self._due_ns if on_time else result.t_ns) + period_ns
-        return TouchSeen(result.seq, result.t_ns, True, tuple((n, touch.values.get(n)) for n in asked.names))
+        numbers = tuple((n, touch.values.get(n)) for n in asked.names)
+        return TouchSeen(result.seq, result.t_ns, result.contact, numbers)
 
 
 class Sessions(Protocol):

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.touch.answer import imprint_of
+from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.types import QUANTITIES, U8, Frame, Need
 
@@ -286,15 +286,16 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     fitted = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
     taken: list[F32] = []
     reconstructor = Reconstructor(calibration, profile, load_network(profile.network, *fitted), touch=taken)
-    names, left_out, known, groups, imprints = [], [], [], [], []
+    names: list[str] = []
+    left_out, known, groups, imprints = [], [], [], []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
-        if made is None or not made.valid or not made.contact:
-            why = "found no contact" if made is None or made.valid else str(made.reason)
+        if made is None or len(taken) == len(names):
+            why = "the skin is at rest" if made is None or made.valid else str(made.reason)
             left_out.append(f"{frame.name}: {why}")
             continue
         names.append(frame.name)
-        imprints.append(imprint_of(made.objects, made.volume_mm3))
+        imprints.append(imprint_of(made.objects, made.volume_mm3) if made.contact else NO_IMPRINT)
         known.append(frame.known)
         groups.append(frame.group or f"\0{len(names)}")
     labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))

@@ -31,13 +31,13 @@ from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.inference.network import load_network, make_reconstructor
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.studies.evaluate.work import SensorName, scenes
 from tacshade_edge.studies.evaluate.work import calibrated as study_calibration
-from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
+from tacshade_edge.types import F32, F64, U8, Binarisation, Frame, Need, Reconstruction
 from tools.testbed.simulator.families import released
 
 # NumPy's arrays are seen, and OpenCV's where it returns them; what OpenCV frees within a call is not.
@@ -377,6 +377,18 @@ def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> 
     assert step("fast", pressed("ball", 1.0).image).contact
     beside = simulated(HALF).frame((Press(OBJECTS["ball"](), 19.0, 0.0, 1.0),), 3)
     assert step("fast", beside.image).depth_max_mm < beside.skin.height_mm.max()
+
+
+def test_labels_are_learnt_from_touches_that_the_map_does_not_show() -> None:
+    taken: list[F32] = []
+    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken)
+    for _ in range(2):
+        result = made.step(Frame(0, 0, 0, pressed("ball", 0.1, HALF, 2.0).image))
+        assert not result.contact
+        assert result.touch is None
+    assert len(taken) == 2
+    made.step(Frame(0, 0, 0, unloaded(HALF)))
+    assert len(taken) == 2
 
 
 def test_a_network_is_asked_about_a_faint_press() -> None:

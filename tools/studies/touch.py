@@ -30,7 +30,7 @@ import numpy as np
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.answer import imprint_of, touch_by_model
+from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of, touch_by_model
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
@@ -109,7 +109,7 @@ class Taker:
         found = self._made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
         if found is None or len(self.features) == before:
             return None
-        self.imprints.append(imprint_of(found.objects, found.volume_mm3))
+        self.imprints.append(imprint_of(found.objects, found.volume_mm3) if found.contact else NO_IMPRINT)
         return found
 
 
@@ -158,7 +158,8 @@ def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: i
     for k, at in enumerate(judged):
         if not frames.usable[at] or learnt.model is None:
             continue
-        touch = touch_by_model(learnt.model, frames.features[at], frames.imprints[at])
+        imprint = frames.imprints[at] if np.isfinite(frames.imprints[at, 0]) else None
+        touch = touch_by_model(learnt.model, frames.features[at], imprint)
         for q, name in enumerate(names):
             value, sigma = touch.values.get(name), touch.sigma.get(name)
             if value is not None and sigma is not None:

@@ -45,6 +45,10 @@ PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 0.42, 2.9; other objects and real skins are worse."""
 
 
+NO_IMPRINT = np.full(4, np.nan, np.float32)
+"""Stands for the imprint of a frame without contact in a table."""
+
+
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
     """Greatest depth, square root of area, cube root of volume, and length of the largest object: float32 (4,), mm."""
     depth_mm = max(one.depth_max_mm for one in objects)
@@ -125,10 +129,13 @@ def unreached(at: Floats, values: Floats) -> Floats:
     return left
 
 
-def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
-    """The touch that a model predicts from a frame's features, float32 (D,), and its imprint (`imprint_of`)."""
+def touch_by_model(model: TouchModel, features: F32, imprint: F32 | None) -> Touch:
+    """The touch that a model predicts from a frame's features, float32 (D,), and its imprint (`imprint_of`), which is
+    None if the height map shows no contact. Values beyond the labelled range have an interval that reaches back to it;
+    those farther off than the range is wide are unknown.
+    """
     found = predict(model, features)
-    alike = found.alike and belongs(model, found.values, imprint)
+    alike = found.alike and (imprint is None or belongs(model, found.values, imprint))
     if not alike:
         unknown = dict.fromkeys(model.names)
         text = (
@@ -137,15 +144,19 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
             else "the frame is unlike any labelled frame"
         )
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
-    values, sigma = found.values.tolist(), found.sigma.tolist()
-    margin = MARGIN * found.sigma
-    outside = (found.values < model.low - margin) | (found.values > model.high + margin)
+    beyond = np.maximum(np.maximum(model.low - found.values, found.values - model.high), 0)
+    outside = beyond > MARGIN * found.sigma
     names = [name for name, out in zip(model.names, outside, strict=True) if out]
-    reason = Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}") if names else None
+    sigma = np.where(outside, np.hypot(found.sigma, beyond), found.sigma)
+    far = beyond > model.high - model.low
+
+    def named(numbers: F64) -> dict[str, float | None]:
+        return {n: None if gone else float(x) for n, gone, x in zip(model.names, far, numbers, strict=True)}
+
     return Touch(
-        {name: None if name in names else value for name, value in zip(model.names, values, strict=True)},
-        {name: None if name in names else value for name, value in zip(model.names, sigma, strict=True)},
-        reason,
+        named(found.values),
+        named(sigma),
+        Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}") if names else None,
     )
 
 

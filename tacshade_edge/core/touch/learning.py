@@ -136,9 +136,9 @@ class _Imprint:
 
 
 def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
-    """Learn a touch model from features (n, D), imprints (n, I), and labels (n, Q), NaN if a frame has none; each
-    quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a group, held out
-    together.
+    """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, and labels (n, Q), NaN if a frame
+    has none; each quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a
+    group, held out together.
     """
     space = _space(features)
     tried = []
@@ -160,7 +160,8 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
     parts = [len(solved[q].rows) / len(features) for q in kept]
     low, high = (ends(labels[:, kept], axis=0).astype(np.float32) for ends in (np.nanmin, np.nanmax))
     values = np.stack([_held_out_values(basis, labels[:, q], solved[q]) for q in kept], axis=1)
-    imprint = _imprint(imprints.astype(np.float64), terms(values, low, high), groups)
+    touching = np.isfinite(imprints[:, 0])
+    imprint = _imprint(imprints[touching].astype(np.float64), terms(values[touching], low, high), groups[touching])
     model = TouchModel(
         names=tuple(names[q] for q in kept),
         networks=networks,
@@ -294,6 +295,9 @@ def _held_out_values(basis: _Basis, labels: F64, solved: _Solved) -> F64:
 
 def _imprint(imprints: F64, values: F64, groups: I64) -> _Imprint:
     """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of held-out groups."""
+    if not len(imprints):  # any imprint belongs
+        count = imprints.shape[1]
+        return _Imprint(np.zeros((values.shape[1], count)), np.zeros((count, count)), 1.0)
     mean, deviation = imprints.mean(axis=0), np.maximum(imprints.std(axis=0), LEAST_DEVIATION)
     standard = (imprints - mean) / deviation
     power, turned = np.linalg.eigh(values.T @ values)

@@ -107,7 +107,7 @@ class TouchAsked:
 class TouchSeen:
     """The touch in the frame `seq`: each requested quantity, in the unit of its name, None if unknown.
 
-    `contact` is False once, when the contact ends.
+    `contact` is False once, when the contact ends, and where only a learnt model sees a touch.
     """
 
     seq: int

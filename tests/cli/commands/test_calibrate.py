@@ -323,7 +323,7 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
     assert set(report["touch"]) == {"fast", "balanced", "accurate"}
     for one in report["touch"].values():
         assert one["frames"] == LABELLED
-        assert one["left_out"] == [f"{labelled}/LABELS.csv:{LABELLED + 2}: found no contact"]
+        assert one["left_out"] == [f"{labelled}/LABELS.csv:{LABELLED + 2}: the skin is at rest"]
         assert one["quantities"]["depth_mm"]["error"] < 0.2
         assert one["quantities"]["tilt_x_deg"]["error"] < 3.0
         assert "force_z_n" not in one["quantities"]  # 30 rows are too few

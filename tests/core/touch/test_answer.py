@@ -93,15 +93,26 @@ def test_one_whose_imprint_does_not_belong_to_the_numbers_is_not(model: TouchMod
     assert set(touch.values.values()) == {None}
 
 
-def test_what_is_outside_the_labelled_range_is_named_and_the_rest_answered(model: TouchModel) -> None:
+def test_a_frame_without_contact_is_answered_by_its_features_alone(model: TouchModel) -> None:
+    assert touch_by_model(model, FEATURES[0], None) == touch_by_model(model, FEATURES[0], IMPRINTS[0])
+    assert touch_by_model(model, np.full(20, 50.0, np.float32), None).reason is not None
+
+
+def test_what_is_outside_the_labelled_range_is_named_and_its_interval_reaches_back(model: TouchModel) -> None:
     any_imprint = np.zeros_like(model.imprint_precision)
-    narrow = replace(model, low=np.float32([-9, 90]), high=np.float32([9, 99]), imprint_precision=any_imprint)
+    narrow = replace(model, low=np.float32([-9, 90]), high=np.float32([9, 999]), imprint_precision=any_imprint)
     touch = touch_by_model(narrow, FEATURES[0], IMPRINTS[0])
     assert touch.values["depth_mm"] is not None
-    assert touch.values["force_z_n"] is touch.sigma["force_z_n"] is None
+    force_n, sigma_n = touch.values["force_z_n"], touch.sigma["force_z_n"]
+    assert force_n is not None
+    assert sigma_n is not None
+    assert force_n + sigma_n >= 90
     assert touch.reason is not None
     assert touch.reason.code is ReasonCode.TOUCH_RANGE
     assert touch.reason.text == "outside the labelled range: force_z_n"
+    far = touch_by_model(replace(narrow, high=np.float32([9, 91])), FEATURES[0], IMPRINTS[0])
+    assert far.values["force_z_n"] is far.sigma["force_z_n"] is None
+    assert far.reason == touch.reason
 
 
 @pytest.mark.parametrize(("tilt_x_deg", "tilt_y_deg"), [(0, 0), (20, 0), (0, -15), (-12, 25)])
