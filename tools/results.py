@@ -95,7 +95,6 @@ PAGES = {
     "real-frames": Page(
         {
             "": f"{REAL} raw out/real/aerial_tactile_servoing",
-            "Near-binary pictures": f"{REAL} binary out/real/tactip-cnn-bayes",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
