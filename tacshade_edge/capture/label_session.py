@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal
+from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import RobotLabels
 from tacshade_edge.capture.scale import ClockOffset, Press, Scale, find_offset, force_at
-from tacshade_edge.core.calibration.reference.references import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.calibration.reference.references import block_means
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.tables.labels import LabelFolder, LabelRow
@@ -84,12 +84,11 @@ class LabelSession:
             )
             since_s = time.monotonic()
             blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
-            rest_grey = motion_grey(blocks)
-            if rest_grey > REST_MOST_GREY:
-                found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
-                self._terminal.say(f"  rejected: the picture is moving or too noisy: {found}")
+            try:
+                self._live.rest_grey = rest_grey_of(blocks)
+            except ConfigError as error:
+                self._terminal.say(f"  rejected: {error}")
                 continue
-            self._live.rest_grey = rest_grey
             self._rest = np.mean(blocks, axis=0)
             self._rest_change = max(self._change(one) for one in blocks)
             if self._scale is None or self._tare(self._scale, since_s):
@@ -116,9 +115,7 @@ class LabelSession:
         except ConfigError as error:
             self._terminal.say(f"  {error} (type help)")
             return
-        frame = self._live.still_frame()
-        if frame is None:
-            self._terminal.say("  cancelled: took no picture")
+        if (frame := self._live.still_frame()) is None:
             return
         known = {**self._robot_labels(frame), **known}
         self._keep([LabelRow(self._folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
@@ -164,14 +161,14 @@ class LabelSession:
         if self._robot is None:
             self._terminal.say("  found no robot, expected serial in the settings")
             return
-        frame = self._live.still_frame()
+        if (frame := self._live.still_frame()) is None:
+            return
         try:
-            if frame is not None:
-                self._robot.confirm_first_touch(frame)
+            self._robot.confirm_first_touch(frame)
         except ConfigError as error:
             self._terminal.say(f"  not taken: {error}")
             return
-        self._terminal.say("  set first touch here" if frame else "  cancelled")
+        self._terminal.say("  set first touch here")
 
     def _undo(self) -> None:
         if not self._rows or self._rows[-1].t_ns is None:

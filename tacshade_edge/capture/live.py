@@ -6,7 +6,7 @@ import os
 import select
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, TextIO
 
@@ -14,7 +14,12 @@ import cv2
 import numpy as np
 
 from tacshade_edge.capture.page import Page, Shown
-from tacshade_edge.core.calibration.reference.references import block_means, motion_grey, stands_still
+from tacshade_edge.core.calibration.reference.references import (
+    REST_MOST_GREY,
+    block_means,
+    motion_grey,
+    stands_still,
+)
 from tacshade_edge.core.calibration.reference.view import Pattern, find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource
@@ -93,6 +98,14 @@ _HINT_S = 5.0
 _UNUSABLE_MAX = 100
 
 
+def rest_grey_of(blocks: Sequence[F32]) -> float:
+    """Return the motion of pictures at rest in grey levels. Raises ConfigError if it is too large."""
+    if (rest_grey := motion_grey(blocks)) > REST_MOST_GREY:
+        found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
+        raise ConfigError(f"the picture is moving or too noisy: {found}")
+    return rest_grey
+
+
 @dataclass(frozen=True, slots=True)
 class _Past:
     """The parts of a past frame that motion and rate need."""
@@ -105,10 +118,8 @@ class _Past:
 class Live:
     """An open source whose frames are read during every wait.
 
-    `source`: already open. `circle`: the visible circle that is already stated. `state_circle`: stores the circle that
-    the person clicked, or None to state no circle. It may raise ConfigError. `rest_grey`: `motion_grey` of the
-    `STILL_FRAMES` frames taken at rest; 0 before that. `note`: a line that the page shows below the figures. `circle`:
-    the stated visible circle; None if it is found in the picture.
+    `source`: already open. `circle`: the visible circle that SENSOR.yaml states; None to find it in the picture.
+    `rest_grey`: `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that.
     """
 
     def __init__(
@@ -117,7 +128,6 @@ class Live:
         terminal: Terminal,
         page: Page,
         circle: Disc | None,
-        state_circle: Callable[[Disc | None], None],
     ) -> None:
         self._source = source
         self._terminal = terminal
@@ -130,10 +140,7 @@ class Live:
         self._text = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
         self.rest_grey = 0.0
-        self.note = ""
-        self.circle = circle
-        self._state_circle = state_circle
-        self._unkept = ""  # why a clicked circle was rejected
+        self._circle = circle
 
     def frame(self) -> Frame:
         """Read the next frame. Raises DeviceError (the camera was lost, delivers only unusable pictures, changed its
@@ -177,6 +184,7 @@ class Live:
             if motion is not None and stands_still(motion, self.rest_grey):
                 return frame
             if self._terminal.line() is not None:
+                self._terminal.say("  cancelled: took no picture")
                 return None
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
@@ -195,11 +203,7 @@ class Live:
     @property
     def has_circle(self) -> bool:
         """Whether a visible circle is stated, or found with a pattern in it."""
-        return self.circle is not None or self._pattern is not None
-
-    def figures(self) -> str:
-        """Disc, focus, contrast, saturation and rate in one line."""
-        return self._text
+        return self._circle is not None or self._pattern is not None
 
     def _motion_grey(self) -> float | None:
         """Motion within the last `STILL_S`, in grey levels; None until enough frames have come."""
@@ -217,9 +221,6 @@ class Live:
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
             raise DeviceError(f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px")
         self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
-        if self._page.chosen:
-            self._choose_circle(self._page.chosen.popleft().circle)
-            self._pattern_due_s = self._figures_due_s = self._picture_due_s = now_s
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             self._find_pattern(grey)
             self._pattern_due_s = time.monotonic() + _PATTERN_S
@@ -227,30 +228,13 @@ class Live:
             self._text = self._figures_of(grey)
             self._figures_due_s = now_s + _FIGURES_S
         if now_s >= self._picture_due_s:
-            disc = self.circle or (self._pattern.disc if self._pattern else None)
-            lines = (self._text, self._circle_text(), self.note)
-            self._page.shown = Shown(_jpeg(grey, disc), "\n".join(filter(None, lines)), grey.shape)
+            disc = self._circle or (self._pattern.disc if self._pattern else None)
+            self._page.shown = Shown(_jpeg(grey, disc), self._text)
             self._picture_due_s = now_s + _PICTURE_S
-
-    def _choose_circle(self, circle: Disc | None) -> None:
-        try:
-            self._state_circle(circle)
-        except ConfigError as error:
-            self._unkept = str(error)
-            return
-        self.circle, self._pattern, self._unkept = circle, None, ""
-
-    def _circle_text(self) -> str:
-        if self._unkept:
-            return f"circle: {self._unkept}"
-        if self.circle is None:
-            return ""
-        place = f"row {self.circle.row_c:g}, column {self.circle.col_c:g}, radius {self.circle.radius_px:g} px"
-        return f"circle: {place}, as clicked (visible_circle in SENSOR.yaml)"
 
     def _find_pattern(self, grey: U8) -> None:
         try:
-            self._pattern = find_pattern(grey, self.circle)
+            self._pattern = find_pattern(grey, self._circle)
         except ConfigError as error:
             self._pattern, self._no_pattern = None, str(error)
 

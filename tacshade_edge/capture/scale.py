@@ -17,16 +17,9 @@ from tacshade_edge.types import F64
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 _POUND_KG: Final = 0.45359237
-_NEWTONS: Final = {
-    **{"n": 1.0, "mn": 1e-3, "kn": 1e3},
-    **{
-        name: STANDARD_GRAVITY_M_S2 * kg
-        for name, kg in (("mg", 1e-6), ("g", 1e-3), ("kg", 1.0), ("lb", _POUND_KG), ("oz", _POUND_KG / 16))
-    },
-    **{
-        name: STANDARD_GRAVITY_M_S2 * kg
-        for name, kg in (("gf", 1e-3), ("kgf", 1.0), ("lbf", _POUND_KG), ("ozf", _POUND_KG / 16))
-    },
+_KG: Final = {"mg": 1e-6, "g": 1e-3, "kg": 1.0, "lb": _POUND_KG, "oz": _POUND_KG / 16}
+_NEWTONS: Final = {"n": 1.0, "mn": 1e-3, "kn": 1e3} | {
+    name + force: STANDARD_GRAVITY_M_S2 * kg for name, kg in _KG.items() for force in ("", "f")
 }
 UNITS: Final = "g, kg, mg, N, mN, kN, lb, oz"
 _READING = re.compile(r"([+-]?) *(\d+(?:[.,]\d+)?|[.,]\d+) *([a-z]+)", re.IGNORECASE)
@@ -91,15 +84,14 @@ class Scale:
         if self._error is not None:
             raise self._error
         if len(self._t_s) >= READINGS_MAX:
-            raise DeviceError(
-                f"scale {self._port.device}: reached the limit of {READINGS_MAX} readings per run; start a new run"
-            )
+            found = f"reached the limit of {READINGS_MAX} readings per run"
+            raise DeviceError(f"scale {self._port.device}: {found}; start a new run")
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"
-            expected = (
-                f"expected lines with a number and a unit ({UNITS}); does the scale send at {self._port.baud} baud?"
-            )
-            raise DeviceError(f"scale {self._port.device}: found {found} in the last {_SILENT_S:.0f} s, {expected}")
+            expected = f"expected lines with a number and a unit ({UNITS})"
+            asked = f"does the scale send at {self._port.baud} baud?"
+            found = f"found {found} in the last {_SILENT_S:.0f} s"
+            raise DeviceError(f"scale {self._port.device}: {found}, {expected}; {asked}")
 
     def readings(self) -> tuple[F64, F64]:
         """All readings so far: arrival in s of CLOCK_MONOTONIC, and force in N; both (m,)."""

@@ -29,7 +29,7 @@ from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
-from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
+from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.free_memory import return_free_memory, share_free_memory

@@ -15,7 +15,7 @@ from tacshade_edge.daemon.observer import FrameResult
 from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
+from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import messages, requests
 from tacshade_edge.protocol.requests import PlaybackCommand, Request

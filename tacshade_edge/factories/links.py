@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
+from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.regular_files import read_regular

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent, TouchNumbers
-from tacshade_edge.protocol.wire import WIRE_VERSION
+from tacshade_edge.protocol.wire_format import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
 from tacshade_edge.types.reconstruction import QUANTITIES
@@ -63,8 +64,8 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
 def encode_touch(result: Reconstruction) -> bytes:
     """The ``touch`` payload."""
     reason = result.reason if result.touch is None else result.touch.reason
-    fields: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
-    return encode_json(TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **fields))
+    numbers: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
+    return encode_json(TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **numbers))
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:
@@ -85,54 +86,29 @@ def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
     return encode_json(slip)
 
 
-def encode_info(
-    *,
-    version: str,
-    config_digest: str,
-    profile: str,
-    calibration: Calibration | Reason,
-    profiles: Sequence[str] = (),
-    choice: str | None = None,
-    reference: Mapping[str, Any] | None = None,
-    hand_id: str | None = None,
-    hand_T_sensor: Sequence[float] | None = None,
-) -> bytes:
-    """The ``info`` payload; `calibration` is the reason if there is none, a missing `choice` means `profile`."""
+def encode_info(*, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any) -> bytes:
+    """The ``info`` payload; `calibration` is the reason if there is none, a missing `choice` means `profile`.
+
+    `others` are fields of `Info`.
+    """
     missing, known = (calibration, None) if isinstance(calibration, Reason) else (None, calibration)
-    return encode_json(
-        Info(
-            version=version,
-            wire_version=WIRE_VERSION,
-            config_digest=config_digest,
-            profile=profile,
-            profiles=tuple(profiles),
-            choice=choice or profile,
-            reference=None if reference is None else dict(reference),
-            geometry=_geometry(known) if known else None,
-            fitted=tuple(sorted(known.fitted)) if known else (),
-            hand_id=hand_id,
-            hand_T_sensor=None if hand_T_sensor is None else tuple(hand_T_sensor),  # type: ignore[arg-type]
-            **reason_fields(missing),
-        )
+    others |= reason_fields(missing)
+    info = Info(
+        wire_version=WIRE_VERSION,
+        profile=profile,
+        choice=choice or profile,
+        geometry=_geometry(known) if known else None,
+        fitted=tuple(sorted(known.fitted)) if known else (),
+        **others,
     )
+    return encode_json(info)
 
 
 def _geometry(calibration: Calibration) -> InfoGeometry:
-    geometry = calibration.geometry
-    return InfoGeometry(
-        skin_radius_mm=geometry.skin_radius_mm,
-        camera_distance_mm=geometry.camera_distance_mm,
-        visible_half_angle_deg=geometry.visible_half_angle_deg,
-        f_px=geometry.f_px,
-        mm_per_px=geometry.mm_per_px,
-        row_c=geometry.disc.row_c,
-        col_c=geometry.disc.col_c,
-        radius_px=geometry.disc.radius_px,
-        image_height_px=calibration.image_height_px,
-        image_width_px=calibration.image_width_px,
-        flange_T_sensor=calibration.flange_T_sensor,  # type: ignore[arg-type]
-        calibration_crc32=calibration.crc32,
-    )
+    sources = calibration, calibration.geometry, calibration.geometry.disc
+    names = {field.name for field in fields(InfoGeometry)}
+    values = {name: getattr(source, name) for source in sources for name in names if hasattr(source, name)}
+    return InfoGeometry(**values, calibration_crc32=calibration.crc32)
 
 
 def encode_status(

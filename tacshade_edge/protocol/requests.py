@@ -87,15 +87,6 @@ _BODIES: Final[dict[Verb, Any]] = {
     "stitch": _Stitch,
     "replay": PlaybackCommand,
 }
-_KEYS: Final[dict[Verb, str]] = {
-    "profile": '"profile": NAME, ',
-    "record": f'"action": "start", "seconds": NUMBER up to {RECORD_S_MAX}, "name": {RECORD_NAME_RULE} (optional), '
-    '"format": "folder" or "mcap" (optional), or "action": "mark", "text": TEXT (optional), or "action": "stop", ',
-    "stitch": f'"action": "begin", "name": {RECORD_NAME_RULE} (optional), or "action": "add", "end", "abort" or '
-    '"status", ',
-    "replay": '"paused": true or false, "step": true, "back": true, "seek_s": NUMBER, "speed": 0.01 to 100 '
-    "(each optional), ",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +128,7 @@ def parse_request(
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        found = f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected {_expected(known)}"
+        found = f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the keys in docs/reference/mqtt.md"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST) from error
     fields = {name: value for name, value in asdict(body).items() if value is not None}
     if tag := body.__struct_config__.tag:
@@ -172,7 +163,3 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
 def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
     """The reply to a request that failed: ``{"transaction", "ok": false, "error": "one line", "reason_code"}``."""
     return encode_json({"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code})
-
-
-def _expected(verb: Verb) -> str:
-    return f'a JSON object {{{_KEYS.get(verb, "")}"transaction": TEXT or INTEGER}}, transaction optional'

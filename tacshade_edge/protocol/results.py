@@ -2,53 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import Any
+
+import msgspec
+from msgspec.structs import asdict
 
 from tacshade_edge.reasons import Reason
 
 
-class _Result:
-    __slots__ = ()
-
+class _Result(msgspec.Struct, frozen=True):
     def figures(self) -> dict[str, Any]:
         """The values by name, in order, rounded as both sides report them."""
-        return asdict(self)  # type: ignore[call-overload, no-any-return]
+        return asdict(self)
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileChosen(_Result):
+class ProfileChosen(_Result, frozen=True):
     """Result of ``req/profile``: the profile now in use."""
 
     profile: str
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceTaken(_Result):
-    """Result of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, their RMS of g in grey levels.
-
-    `unstored` is the reason why the reference will not survive a restart; None if it will.
-    """
+class ReferenceTaken(_Result, frozen=True):
+    """Result of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, their RMS of g in grey levels."""
 
     frames: int
     calibration_crc32: int
     noise_grey: float
-    unstored: Reason | None = None
+    unstored: Reason | None = None  # why the reference will not survive a restart
 
     def figures(self) -> dict[str, Any]:
-        known = {"frames": self.frames, "calibration_crc32": self.calibration_crc32, "noise_grey": self.noise_grey}
-        return {**known, "stored": self.unstored is None}
+        found = asdict(self)
+        stored = found.pop("unstored") is None
+        return {**found, "stored": stored}
 
 
-@dataclass(frozen=True, slots=True)
-class SessionBegun(_Result):
+class SessionBegun(_Result, frozen=True):
     """A stitching session is open."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class PressAdded(_Result):
+class PressAdded(_Result, frozen=True):
     """The frame numbered `frame` has been stored on disk and added to the map as a press, numbered from 1."""
 
     press: int
@@ -56,36 +50,29 @@ class PressAdded(_Result):
     points: int
 
 
-@dataclass(frozen=True, slots=True)
-class SessionEnded(_Result):
-    """The session ended, and `used` of its presses are in its final map.
-
-    `refined` states whether the poses were refined rather than taken as exact, `disagreement_mm` is the RMS of the
-    height changes that would make the presses agree, `area_mm2` the area of the map's cells that have a height.
-    """
+class SessionEnded(_Result, frozen=True):
+    """The session ended, and `used` of its presses are in its final map."""
 
     name: str
     presses: int
     used: int
-    refined: bool
-    disagreement_mm: float
-    area_mm2: float
+    refined: bool  # whether the poses were refined rather than taken as exact
+    disagreement_mm: float  # RMS of the height changes that would make the presses agree
+    area_mm2: float  # of the map's cells that have a height
 
     def figures(self) -> dict[str, Any]:
         rounded = {"disagreement_mm": round(self.disagreement_mm, 3), "area_mm2": round(self.area_mm2)}
         return {**asdict(self), "refined": int(self.refined), **rounded}
 
 
-@dataclass(frozen=True, slots=True)
-class SessionAborted(_Result):
+class SessionAborted(_Result, frozen=True):
     """The session was discarded with its presses."""
 
     name: str
     presses: int
 
 
-@dataclass(frozen=True, slots=True)
-class SessionStatus(_Result):
+class SessionStatus(_Result, frozen=True):
     """The open session; `missed` counts the contacts at rest that could not be added."""
 
     name: str
@@ -99,8 +86,7 @@ class SessionStatus(_Result):
         return {"open": 1, **asdict(self)}
 
 
-@dataclass(frozen=True, slots=True)
-class NoSession(_Result):
+class NoSession(_Result, frozen=True):
     """The status while no session is open."""
 
     def figures(self) -> dict[str, Any]:
@@ -111,16 +97,14 @@ SessionResult = SessionBegun | PressAdded | SessionEnded | SessionAborted | Sess
 RequestResult = ProfileChosen | ReferenceTaken | SessionResult
 
 
-@dataclass(frozen=True, slots=True)
-class ClockRead(_Result):
+class ClockRead(_Result, frozen=True):
     """Result of ``SYNC``: when it arrived and when this reply is sent, in ns of the daemon's clock."""
 
     t2_ns: int
     t3_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class FrameCaptured(_Result):
+class FrameCaptured(_Result, frozen=True):
     """Result of ``CAPTURE``: one reconstruction. `pose_error_us` is None if the frame has no pose."""
 
     frame: int
@@ -137,8 +121,7 @@ class FrameCaptured(_Result):
         return found if error_us is None else {**found, "pose_error_us": error_us}
 
 
-@dataclass(frozen=True, slots=True)
-class LineStatus(_Result):
+class LineStatus(_Result, frozen=True):
     """Result of ``STATUS``: the camera's state and rate in 1/s, the clock's accuracy, and the counts of the line."""
 
     camera: str
@@ -152,8 +135,7 @@ class LineStatus(_Result):
     garbage: int
 
 
-@dataclass(frozen=True, slots=True)
-class TouchSwitched(_Result):
+class TouchSwitched(_Result, frozen=True):
     """Result of ``TOUCH``: the greatest number of events per second; 0 is off."""
 
     rate_hz: int

@@ -6,42 +6,14 @@ from typing import Any, Required, TypedDict, Unpack
 
 import numpy as np
 
-from tacshade_edge.protocol.wire_format import (
-    CELLS_MAX,
-    HEAD,
-    HEADER_BYTES,
-    OUTSIDE,
-    PAYLOAD_BYTES_MAX,
-    WIRE_VERSION,
-    CloudMessage,
-    HeightMessage,
-    Message,
-    ShearMessage,
-    SigmaMessage,
-    decode,
-    encode,
-)
+from tacshade_edge.protocol import wire_format
+from tacshade_edge.protocol.wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, encode
 from tacshade_edge.types import F32, Pose, Reconstruction
 
-__all__ = [
-    "CELLS_MAX",
-    "HEAD",
-    "HEADER_BYTES",
-    "OUTSIDE",
-    "PAYLOAD_BYTES_MAX",
-    "WIRE_VERSION",
-    "CloudMessage",
-    "HeightMessage",
-    "Message",
-    "ShearMessage",
-    "SigmaMessage",
-    "decode",
-    "encode_cloud",
-    "encode_height",
-    "encode_map_cloud",
-    "encode_shear",
-    "encode_sigma",
-]
+__all__ = ["CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage", "decode"]
+
+HEAD, HEADER_BYTES, PAYLOAD_BYTES_MAX = wire_format.HEAD, wire_format.HEADER_BYTES, wire_format.PAYLOAD_BYTES_MAX
+decode = wire_format.decode
 
 
 class _Taken(TypedDict, total=False):
@@ -59,15 +31,13 @@ def encode_height(result: Reconstruction, **taken: Unpack[_Taken]) -> bytes:
 
 def encode_shear(result: Reconstruction, **taken: Unpack[_Taken]) -> bytes:
     """The ``shear`` payload of a reconstruction with shear: x, y of each cell, encoded like heights."""
-    if result.shear_mm is None:
-        raise ValueError(f"profile {result.profile} reports no shear")
+    assert result.shear_mm is not None
     return encode(ShearMessage(**_frame(result, taken), **_grid(result), shear_mm=result.shear_mm))
 
 
 def encode_sigma(result: Reconstruction, **taken: Unpack[_Taken]) -> bytes:
     """The ``sigma`` payload of a reconstruction with sigma, encoded like heights."""
-    if result.sigma_mm is None:
-        raise ValueError(f"profile {result.profile} reports no error")
+    assert result.sigma_mm is not None
     return encode(SigmaMessage(**_frame(result, taken), **_grid(result), sigma_mm=result.sigma_mm))
 
 
@@ -87,18 +57,9 @@ def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t
 
 def _frame(result: Reconstruction, taken: _Taken) -> dict[str, Any]:
     """The fields of every kind."""
-    return {
-        "seq": result.seq,
-        "t_ns": result.t_ns,
-        "wall_ns": result.wall_ns,
-        "contact": result.contact,
-        "invalid": not result.valid,
-        "saturated": result.saturated,
-        "degraded": result.degraded is not None,
-        "pose": None,
-        "pose_error_us": 0,
-        **taken,
-    }
+    flags = {"contact": result.contact, "invalid": not result.valid, "saturated": result.saturated}
+    times = {"seq": result.seq, "t_ns": result.t_ns, "wall_ns": result.wall_ns}
+    return {**times, **flags, "degraded": result.degraded is not None, "pose": None, "pose_error_us": 0, **taken}
 
 
 def _grid(result: Reconstruction) -> dict[str, Any]:

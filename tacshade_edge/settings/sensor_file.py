@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-import yaml
 from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Sensor
@@ -87,36 +86,3 @@ def read_sensor(path: Path) -> Sensor:
     }
     plain = {name: value for name, value in msgspec.structs.asdict(given).items() if name != "print"}
     return Sensor(**plain | others)
-
-
-def with_visible_circle(text: str, circle: Disc | None) -> str:
-    """Replace or remove the visible circle in the text of a valid SENSOR.yaml, leaving every other line unchanged.
-
-    Raises ConfigError if the text is not laid out with one key per line.
-    """
-    key = "visible_circle"
-    keys = None if circle is None else {"row_px": circle.row_c, "col_px": circle.col_c, "radius_px": circle.radius_px}
-    stated = "" if keys is None else yaml.safe_dump(keys, default_flow_style=True, sort_keys=False).strip()
-    root = yaml.compose(text, Loader=yaml.SafeLoader)
-    pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    at = next((pair for pair in pairs if pair[0].value == key), None)
-    changed = text
-    if at is not None:
-        name, value = at
-        # PyYAML ends a block mapping after the comments that follow it.
-        is_block = isinstance(value, yaml.MappingNode) and not value.flow_style
-        end = (value.value[-1][1] if is_block else value).end_mark.index
-        rest = text[end:] if stated else text[end:].lstrip(" ").removeprefix("\n")
-        changed = text[: value.start_mark.index if stated else name.start_mark.index] + stated + rest
-    elif stated:
-        changed = f"{text}{'' if text.endswith(chr(10)) else chr(10)}{key}: {stated}\n"
-    expected = {name: value for name, value in yaml.safe_load(text).items() if name != key}
-    expected |= {} if keys is None else {key: keys}
-    try:
-        if yaml.safe_load(changed) == expected:
-            return changed
-    except yaml.YAMLError:
-        pass
-    raise ConfigError(
-        f"cannot edit SENSOR.yaml in its present form; edit the file by hand: {key} should be {stated or 'left out'}"
-    )

@@ -121,14 +121,6 @@ def test_any_height_is_rounded_or_clamped_and_never_wrapped(height: Any, flags: 
     assert (message.contact, message.saturated) == (flags["contact"], flags["saturated"])
 
 
-def test_a_solver_without_shear_has_no_payload_of_it() -> None:
-    result = reconstruction(np.zeros((1, 1), np.float32))
-    with pytest.raises(ValueError, match="reports no shear"):
-        wire.encode_shear(result, calibration_crc32=0)
-    with pytest.raises(ValueError, match="reports no error"):
-        wire.encode_sigma(result, calibration_crc32=0)
-
-
 @given(st.integers(0, 40).flatmap(lambda n: st.tuples(*_cloud(n))), st.integers(0, 2**40))
 def test_any_cloud_comes_back_bit_for_bit(cloud: tuple[Any, Any], seq: int) -> None:
     points, labels = cloud

@@ -6,7 +6,7 @@ import pytest
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
+from tacshade_edge.settings.sensor_file import check_value, read_sensor
 from tacshade_edge.types import Disc
 
 LEAST = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
@@ -108,48 +108,3 @@ def test_where_the_sensor_is_on_the_flange_is_seven_numbers(tmp_path: Path, give
     with pytest.raises(ConfigError) as caught:
         read_sensor(path)
     assert str(caught.value) == f"{path}:1: flange_T_sensor: {said}"
-
-
-CIRCLE = Disc(240.5, 310.0, 205.2)
-STATED = "{row_px: 240.5, col_px: 310.0, radius_px: 205.2}"
-
-
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        (LEAST, f"{LEAST}visible_circle: {STATED}\n"),
-        (f"# mine\n{LEAST}# end", f"# mine\n{LEAST}# end\nvisible_circle: {STATED}\n"),
-        (
-            f"visible_circle: {{row_px: 1, col_px: 2, radius_px: 99}}  # by eye\n{LEAST}",
-            f"visible_circle: {STATED}  # by eye\n{LEAST}",
-        ),
-        (
-            f"visible_circle:\n  row_px: 1\n  col_px: 2\n  radius_px: 99\n# as drawn\n{LEAST}",
-            f"visible_circle:\n  {STATED}\n# as drawn\n{LEAST}",
-        ),
-        (f"visible_circle: null\n{LEAST}", f"visible_circle: {STATED}\n{LEAST}"),
-    ],
-)
-def test_another_circle_is_stated_and_every_other_line_stays(tmp_path: Path, before: str, after: str) -> None:
-    assert with_visible_circle(before, CIRCLE) == after
-    path = sensor_file(tmp_path, after)
-    assert read_sensor(path).visible_circle == CIRCLE
-    path.write_text(with_visible_circle(after, None), encoding="utf-8")
-    assert read_sensor(path).visible_circle is None
-    assert comments(path.read_text(encoding="utf-8")) == comments(before)
-
-
-def comments(text: str) -> list[str]:
-    return [line.partition("#")[2] for line in text.splitlines() if "#" in line]
-
-
-def test_a_circle_that_was_never_stated_is_left_out_already() -> None:
-    assert with_visible_circle(LEAST, None) == LEAST
-
-
-def test_a_file_of_another_style_is_not_changed() -> None:
-    with pytest.raises(
-        ConfigError,
-        match=r"cannot edit SENSOR.yaml in its present form; edit the file by hand: visible_circle should be {row",
-    ):
-        with_visible_circle("{skin_radius_mm: 20, visible_half_angle_deg: 50, polarity: bright}\n", CIRCLE)

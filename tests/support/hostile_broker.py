@@ -35,7 +35,7 @@ BAD = b"".join(map(publish, BAD_TOPICS))
 class HostileBroker:
     """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it.
 
-    It ends a connection that publishes more than `bytes_max`, after the DISCONNECT `last`, and answers others of QoS 1
+    It ends a connection that publishes more than `bytes_max`, and answers others of QoS 1
     with `code`; with `echo`, it sends these back.
     """
 
@@ -44,11 +44,10 @@ class HostileBroker:
         *raw: bytes,
         extra_codes: int = 0,
         bytes_max: int = 1 << 28,
-        last: bytes = b"",
         code: int = 0,
         echo: bool = False,
     ) -> None:
-        self._bytes_max, self._last, self._code, self._echo = bytes_max, last, code, echo
+        self._bytes_max, self._code, self._echo = bytes_max, code, echo
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
@@ -88,7 +87,6 @@ class HostileBroker:
                 elif kind == 0x82:
                     peer.sendall(packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra)) + self._raw)
                 elif kind & 0xF0 == 0x30 and len(body) > self._bytes_max:
-                    peer.sendall(self._last)
                     return
                 elif kind & 0xF6 == 0x32:
                     size = int.from_bytes(body[:2], "big")

@@ -17,7 +17,7 @@ import zlib
 from pathlib import Path
 
 from tacshade_edge.daemon.ledger import FrameLedger
-from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
+from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
 from tacshade_edge.factories import links
 from tacshade_edge.settings import load
 

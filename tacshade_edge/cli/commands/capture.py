@@ -7,7 +7,7 @@ import contextlib
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 import msgspec
 import yaml
@@ -30,12 +30,12 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import sources
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
-from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
+from tacshade_edge.settings.sensor_file import check_value, read_sensor
 from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
 from tacshade_edge.storage.tables.presses import BALL
-from tacshade_edge.types import Disc, Frame, Pose
+from tacshade_edge.types import Frame, Pose
 
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
@@ -83,7 +83,16 @@ def run(args: argparse.Namespace) -> int:
     folder.make()
     try:
         sensor = _sensor(folder, terminal)
-        _run(folder, source, serial, terminal, sensor, _session(args, folder, serial, terminal, sensor))
+        indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
+        plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
+        with _camera(folder, source, serial, terminal, sensor) as live, _robot_poses(serial) as pose_at:
+            if args.labels is None:
+                places = RobotPlaces(sensor, pose_at) if pose_at else None
+                Session(folder, sensor, live, terminal, plan, indenters, places).run()
+            else:
+                labels = RobotLabels(sensor, pose_at) if pose_at else None
+                with _scale(args.scale) as scale:
+                    LabelSession(LabelFolder(args.labels), live, terminal, scale, labels).run()
     except InputEnded:
         terminal.say("")
     except KeyboardInterrupt:
@@ -93,50 +102,16 @@ def run(args: argparse.Namespace) -> int:
     except DeviceError as error:
         again = f"to continue in {folder.path}, run the same command again"
         raise DeviceError(f"{error}; {again}", code=error.code) from None
-    (_say_next_of_labels if args.labels else _say_next)(folder, terminal)
+    _say_next(folder, terminal, labels=args.labels is not None)
     return 0
 
 
-def _session(
-    args: argparse.Namespace, folder: CaptureFolder, serial: Serial | None, terminal: Terminal, sensor: Sensor
-) -> Callable[[Live], None]:
-    """Read the tables, and return the function that takes presses or labelled frames from an open camera."""
-    indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
-    plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
-
-    def by_hand(live: Live) -> None:
-        with _robot_poses(serial) as pose_at:
-            robot = RobotPlaces(sensor, pose_at) if pose_at else None
-            Session(folder, sensor, live, terminal, plan, indenters, robot).run()
-
-    def labelling(live: Live) -> None:
-        with contextlib.ExitStack() as stack:
-            scale = None if args.scale is None else Scale(scale_port(args.scale))
-            if scale:
-                stack.callback(scale.close)
-                scale.open()
-            pose_at = stack.enter_context(_robot_poses(serial))
-            robot = RobotLabels(sensor, pose_at) if pose_at else None
-            LabelSession(LabelFolder(args.labels), live, terminal, scale, robot).run()
-
-    return labelling if args.labels else by_hand
-
-
-def _run(
-    folder: CaptureFolder,
-    chosen: Source,
-    serial: Serial | None,
-    terminal: Terminal,
-    sensor: Sensor,
-    session: Callable[[Live], None],
-) -> None:
-    def state_circle(circle: Disc | None) -> None:
-        read_sensor(folder.sensor)  # checks it again: the user may have edited it meanwhile
-        text = folder.sensor.read_text(encoding="utf-8")
-        folder.write(folder.sensor, with_visible_circle(text, circle))
-
-    source, page = sources.make_source(chosen), Page()
-    try:
+@contextlib.contextmanager
+def _camera(
+    folder: CaptureFolder, chosen: Source, serial: Serial | None, terminal: Terminal, sensor: Sensor
+) -> Iterator[Live]:
+    """Open the camera and its page; write the daemon's settings if there are none."""
+    with contextlib.closing(sources.make_source(chosen)) as source, contextlib.closing(Page()) as page:
         source.open()
         described = source.describe()
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
@@ -145,10 +120,17 @@ def _run(
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"live picture: {page.address}")
-        session(Live(source, terminal, page, sensor.visible_circle, state_circle))
-    finally:
-        source.close()
-        page.close()
+        yield Live(source, terminal, page, sensor.visible_circle)
+
+
+@contextlib.contextmanager
+def _scale(port: str | None) -> Iterator[Scale | None]:
+    if port is None:
+        yield None
+        return
+    with contextlib.closing(Scale(scale_port(port))) as scale:
+        scale.open()
+        yield scale
 
 
 @contextlib.contextmanager
@@ -244,27 +226,18 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
     return read_sensor(folder.sensor)
 
 
-def _calibrate(folder: CaptureFolder) -> tuple[str, str]:
-    """Return the folder's name and the beginning of `calibrate` for a shell."""
+def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> None:
+    """Print the commands that come next, for the user to copy."""
     at = shlex.quote(str(folder.path))
-    return at, f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
-
-
-def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
-    """Print the command that learns from the table, for the user to copy."""
-    at, words = _calibrate(folder)
-    terminal.say(f"next:\n  {words} --labels {at}/{LABELS} --out {at}/{_CALIBRATION}")
+    words = f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
     if not list(folder.path.glob(REFERENCES)):
         terminal.say(f"no references yet; to take them, run: tacshade-edge capture {at}")
-
-
-def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
-    """Print the commands that come next, for the user to copy."""
-    taken, (at, words) = folder.taken(), _calibrate(folder)
-    if not list(folder.path.glob(REFERENCES)):
-        terminal.say(f"no reference was taken; to continue, run: tacshade-edge capture {at}")
-        return
-    if len(taken) >= MIN_PRESSES:
+        if not labels:
+            return
+    taken = [] if labels else folder.taken()
+    if labels:
+        words += f" --labels {at}/{LABELS}"
+    elif len(taken) >= MIN_PRESSES:
         words += f" --presses {at}/{folder.presses.name}"
         if any(one.stated.columns[0] != BALL for one in taken):
             words += f" --indenters {at}/{folder.indenters.name}"
@@ -272,6 +245,4 @@ def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
         count = f"{len(taken)} press{'' if len(taken) == 1 else 'es'}"
         more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
         terminal.say(f"{count}: {more}")
-    terminal.say(f"next:\n  {words} --fit --out {at}/{_CALIBRATION}")
-    terminal.say("  (--fit makes the networks this sensor's own; it takes minutes and needs the `fit` extra)")
-    terminal.say(f"  tacshade-edge run --config {at}/{folder.settings.name}")
+    terminal.say(f"next:\n  {words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}")

@@ -21,8 +21,6 @@ _REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
 _DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
 # Least ratio of the greatest to the smallest.
 _DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
-# Grid of candidates for the next press: places along the disc's diameter, and depths.
-_GRID_PLACES, _GRID_DEPTHS = 11, 5
 Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
 GRADED_PROFILE = "accurate"
@@ -59,32 +57,6 @@ def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[st
         _missing_sizes(presses, geometry),
     )
     return tuple(line for line in lines if line)
-
-
-def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
-    """The most useful next press, in a line. Needs at least one press."""
-    x_mm, y_mm, depth_mm = widest_gap(presses, geometry)
-    where = f"around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep"
-    if not missing_coverage(presses, geometry):
-        return f"{len(presses)} presses cover everything; one more helps most {where}"
-    sizes = _missing_sizes(presses, geometry)
-    return f"the next press helps most {where}" + (f"; {sizes}" if sizes else "")
-
-
-def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
-    """Find x, y and depth furthest from any of the presses (at least one), among those that they should cover (M. E.
-    Johnson, L. M. Moore, D. Ylvisaker, "Minimax and maximin distance designs", 1990).
-    """
-    reach_mm = _REACH_RHO * _visible_mm(geometry)
-    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
-    scale_mm, begin_mm = np.array((reach_mm, reach_mm, deep_mm - shallow_mm)), np.array((0.0, 0.0, shallow_mm))
-    side = np.linspace(-1, 1, _GRID_PLACES)
-    grid = np.stack(np.meshgrid(side, side, np.linspace(0, 1, _GRID_DEPTHS), indexing="ij"), axis=-1).reshape(-1, 3)
-    grid = grid[grid[:, 0] ** 2 + grid[:, 1] ** 2 <= 1 + 1e-9]
-    taken = (np.array([(*press.place_mm, press.depth_mm) for press in presses]) - begin_mm) / scale_mm
-    gap = np.linalg.norm(grid[:, None] - taken, axis=2).min(axis=1)
-    x_mm, y_mm, depth_mm = (float(v) for v in grid[int(np.argmax(gap))] * scale_mm + begin_mm)
-    return x_mm, y_mm, depth_mm
 
 
 def _visible_mm(geometry: Geometry) -> float:

@@ -126,11 +126,9 @@ class RpicamSource(Camera):
         else:
             if not (in_step and was_in_step):
                 raise stream.other_size()
-            raise DeviceError(
-                f"{self._name}: requested an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
-                f"but got {exposure_us:g} us and {gain:g}",
-                code=ReasonCode.NOT_OFFERED,
-            )
+            asked = f"requested an exposure of {self._exposure_us} us and a gain of {self._gain:g}"
+            text = f"{self._name}: {asked}, but got {exposure_us:g} us and {gain:g}"
+            raise DeviceError(text, code=ReasonCode.NOT_OFFERED)
         period_us = _number(record, "FrameDuration")
         age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
         self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
@@ -183,22 +181,16 @@ class _Stream:
             )
         except OSError as error:
             os.close(records)
-            missing = isinstance(error, FileNotFoundError)
-            why = (
-                "no such program, expected the program from Debian's package rpicam-apps-lite"
-                if missing
-                else error.strerror
-            )
-            raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
+            code, why = ReasonCode.PERMISSION, error.strerror
+            if isinstance(error, FileNotFoundError):
+                code, why = ReasonCode.ABSENT, "no such program, expected that of Debian's package rpicam-apps-lite"
+            raise DeviceError(f"{name}: {why}", code=code) from None
         finally:
             os.close(write_end)
         assert self._process.stdout
         assert self._process.stderr
-        self._frames, self._records, self._errors = (
-            self._process.stdout.fileno(),
-            records,
-            self._process.stderr.fileno(),
-        )
+        self._frames, self._errors = self._process.stdout.fileno(), self._process.stderr.fileno()
+        self._records = records
         with contextlib.suppress(OSError):  # above the user's limit: the pipe stays smaller
             fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._others = [self._records, self._errors]
@@ -211,7 +203,10 @@ class _Stream:
             whole = have == self._bytes
             ready = select.select([*self._others, *(() if whole else (self._frames,))], [], [], limit_s)[0]
             if not ready:
-                raise self.other_size() if whole and _is_readable(self._frames) else self._stalled()
+                if whole and _is_readable(self._frames):
+                    raise self.other_size()
+                text = f"{self._name}: the camera has stalled and is sending no frames"
+                raise DeviceError(text, code=ReasonCode.STALLED)
             if self._errors in ready:
                 self._hear()
             if self._records in ready:
@@ -249,6 +244,7 @@ class _Stream:
             process.wait()
 
     def _hear(self) -> None:
+        """Read what the program wrote to standard error, until it closes it."""
         words = os.read(self._errors, _SAID_BYTES)
         self._said = (self._said + words)[-_SAID_BYTES:]
         if not words:
@@ -258,8 +254,8 @@ class _Stream:
         """Return the error for a program that closed its pipes, with its own last message."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_S)
-        while _is_readable(self._errors, 0.0) and (words := os.read(self._errors, _SAID_BYTES)):
-            self._said = (self._said + words)[-_SAID_BYTES:]
+        while self._errors in self._others and _is_readable(self._errors):
+            self._hear()
         lines = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
         why = next((line for line in reversed(lines) if line.startswith("ERROR")), lines[-1] if lines else "no output")
         why = why.removeprefix("ERROR:").strip(" *")
@@ -268,21 +264,15 @@ class _Stream:
         status = self._process.returncode
         return DeviceError(f"{self._name}: the program exited with status {status}: {why!r}", code=code)
 
-    def _stalled(self) -> DeviceError:
-        return DeviceError(f"{self._name}: the camera has stalled and is sending no frames", code=ReasonCode.STALLED)
-
     def other_size(self) -> DeviceError:
         """Return the error for frames of the wrong size."""
         height_px, width_px = self._shape
-        return DeviceError(
-            f"{self._name}: found frames of another size, "
-            f"expected frames of {self._bytes} bytes ({width_px}x{height_px} YUV)",
-            code=ReasonCode.NOT_OFFERED,
-        )
+        expected = f"expected frames of {self._bytes} bytes ({width_px}x{height_px} YUV)"
+        return DeviceError(f"{self._name}: found frames of another size, {expected}", code=ReasonCode.NOT_OFFERED)
 
 
-def _is_readable(fd: int, limit_s: float = 0.0) -> bool:
-    return bool(select.select([fd], [], [], limit_s)[0])
+def _is_readable(fd: int) -> bool:
+    return bool(select.select([fd], [], [], 0.0)[0])
 
 
 def _number(record: dict[str, str], key: str) -> float:

@@ -56,9 +56,8 @@ class V4l2Source(Camera):
         if fourcc not in FOURCCS:
             raise ConfigError(f"camera {device}: found format {fourcc!r}, expected one of {', '.join(FOURCCS)}")
         if min(width_px, height_px) < 1 or not fps > 0:
-            raise ConfigError(
-                f"camera {device}: found {width_px}x{height_px} at {fps:g} fps, expected positive numbers"
-            )
+            found = f"found {width_px}x{height_px} at {fps:g} fps"
+            raise ConfigError(f"camera {device}: {found}, expected positive numbers")
         super().__init__(f"camera {device}", device)
         self._shape = (height_px, width_px)
         self._fps = fps
@@ -183,10 +182,8 @@ class V4l2Source(Camera):
             # Reading a device that is gone fails at once, although OpenCV still reports it as open.
             gone = waited_s < 0.5 * _STALL_S
             why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
-            raise DeviceError(
-                f"{self._name}: no frame within {waited_s:.1f} s: {why}",
-                code=ReasonCode.LOST if gone else ReasonCode.STALLED,
-            )
+            code = ReasonCode.LOST if gone else ReasonCode.STALLED
+            raise DeviceError(f"{self._name}: no frame within {waited_s:.1f} s: {why}", code=code)
 
     def _decoded(self, capture: cv2.VideoCapture, grabbed: bool = False) -> Frame:
         """Return the next frame that can be decoded; undecodable ones count as dropped."""
@@ -203,11 +200,9 @@ class V4l2Source(Camera):
                 return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
             size = raw.size if ok else 0
             self._dropped += 1
-        raise DeviceError(
-            f"{self._name}: found {_UNDECODABLE_MAX} frames in a row that were not"
-            f" {self._shape[1]}x{self._shape[0]} {self._fourcc} (the last had {size} bytes)",
-            code=ReasonCode.DECODE,
-        )
+        asked = f"{self._shape[1]}x{self._shape[0]} {self._fourcc}"
+        found = f"found {_UNDECODABLE_MAX} frames in a row that were not {asked} (the last had {size} bytes)"
+        raise DeviceError(f"{self._name}: {found}", code=ReasonCode.DECODE)
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:

@@ -17,6 +17,7 @@ from typing import Protocol
 import cv2
 
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import ReasonCode
 
 # linux/videodev2.h
@@ -60,57 +61,35 @@ def check_node(device: str) -> str:
         try:
             fcntl.ioctl(fd, _VIDIOC_QUERYCAP, capability)
         except OSError as error:
-            raise DeviceError(
-                f"camera {device}: its driver does not answer ({error.strerror})", code=ReasonCode.NO_ANSWER
-            ) from None
+            text = f"camera {device}: its driver does not answer ({error.strerror})"
+            raise DeviceError(text, code=ReasonCode.NO_ANSWER) from None
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
-        raise DeviceError(
-            f"camera {device}: this device node is for output or metadata and captures no video;"
-            " v4l2-ctl --list-devices shows the other nodes",
-            code=ReasonCode.WRONG_KIND,
-        )
+        found = "this device node is for output or metadata and captures no video"
+        text = f"camera {device}: {found}; v4l2-ctl --list-devices shows the other nodes"
+        raise DeviceError(text, code=ReasonCode.WRONG_KIND)
     return capability[16:48].split(b"\0")[0].decode(errors="replace")
 
 
 def formats(device: str) -> list[str]:
     """Return the four-character codes of the pixel formats that the device offers. Raises as `check_node` does."""
-    codes = []
     with _opened(device) as fd:
-        for buf_type in _BUF_TYPES:
-            for index in range(256):
-                entry = bytearray(64)
-                entry[0:4] = index.to_bytes(4, "little")
-                entry[4:8] = buf_type.to_bytes(4, "little")
-                try:
-                    fcntl.ioctl(fd, _VIDIOC_ENUM_FMT, entry)
-                except OSError:  # the end of the list, EINVAL
-                    break
-                codes.append(entry[44:48].decode("ascii", errors="replace").strip())
-    return codes
+        entries = [entry for kind in _BUF_TYPES for entry in _enumerated(fd, _VIDIOC_ENUM_FMT, 64, kind)]
+    return [entry[44:48].decode("ascii", errors="replace").strip() for entry in entries]
 
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
     """One size, or a range of sizes in steps, in px."""
 
-    width_min_px: int
-    width_max_px: int
-    width_step_px: int
-    height_min_px: int
-    height_max_px: int
-    height_step_px: int
+    widths_px: range
+    heights_px: range
 
     def holds(self, width_px: int, height_px: int) -> bool:
         """Whether the range contains the size."""
-        return (
-            self.width_min_px <= width_px <= self.width_max_px
-            and self.height_min_px <= height_px <= self.height_max_px
-            and (width_px - self.width_min_px) % max(self.width_step_px, 1) == 0
-            and (height_px - self.height_min_px) % max(self.height_step_px, 1) == 0
-        )
+        return width_px in self.widths_px and height_px in self.heights_px
 
     def __str__(self) -> str:
-        least, most = f"{self.width_min_px}x{self.height_min_px}", f"{self.width_max_px}x{self.height_max_px}"
+        least, most = (f"{self.widths_px[at]}x{self.heights_px[at]}" for at in (0, -1))
         return least if least == most else f"{least} to {most}"
 
 
@@ -118,12 +97,12 @@ def sizes(device: str, fourcc: str) -> list[Sizes]:
     """Return the sizes offered in a format; empty if the driver does not list them. Raises as `check_node` does."""
     found = []
     with _opened(device) as fd:
-        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMESIZES, 44, fourcc):
+        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMESIZES, 44, _code(fourcc)):
             kind, *values = struct.unpack_from("<7I", entry, 8)
             if kind == _DISCRETE:
                 width_px, height_px = values[:2]
                 values = [width_px, width_px, 1, height_px, height_px, 1]
-            found.append(Sizes(*values))
+            found.append(Sizes(*(range(least, most + 1, step or 1) for least, most, step in (values[:3], values[3:]))))
             if kind != _DISCRETE:
                 break
     return found
@@ -136,7 +115,7 @@ def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple
     """
     found = []
     with _opened(device) as fd:
-        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMEINTERVALS, 52, fourcc, width_px, height_px):
+        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMEINTERVALS, 52, _code(fourcc), width_px, height_px):
             kind, *fractions = struct.unpack_from("<5I", entry, 16)
             shortest = fractions[1] / max(fractions[0], 1)
             longest = shortest if kind == _DISCRETE else fractions[3] / max(fractions[2], 1)
@@ -146,11 +125,15 @@ def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple
     return found
 
 
-def _enumerated(fd: int, request: int, size_bytes: int, fourcc: str, *key: int) -> Iterator[bytearray]:
-    """Yield the entries of a kernel list, requested by index, pixel format and `key`."""
+def _code(fourcc: str) -> int:
+    return int.from_bytes(fourcc.encode().ljust(4), "little")
+
+
+def _enumerated(fd: int, request: int, size_bytes: int, *key: int) -> Iterator[bytearray]:
+    """Yield the entries of a kernel list, requested by index and `key`."""
     for index in range(256):
         entry = bytearray(size_bytes)
-        struct.pack_into(f"<I4s{len(key)}I", entry, 0, index, fourcc.encode().ljust(4), *key)
+        struct.pack_into(f"<{1 + len(key)}I", entry, 0, index, *key)
         try:
             fcntl.ioctl(fd, request, entry)
         except OSError:  # the end of the list, EINVAL; ENOTTY when the driver has none
@@ -162,11 +145,8 @@ def is_busy(device: str) -> bool:
     """Whether another program holds the device's buffers. Call only after opening failed: it disturbs a stream."""
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
-            request = bytearray(20)
-            request[4:8] = buf_type.to_bytes(4, "little")
-            request[8:12] = _MEMORY_MMAP.to_bytes(4, "little")
             try:
-                fcntl.ioctl(fd, _VIDIOC_REQBUFS, request)
+                fcntl.ioctl(fd, _VIDIOC_REQBUFS, bytearray(struct.pack("<5I", 0, buf_type, _MEMORY_MMAP, 0, 0)))
             except OSError as error:
                 if error.errno == errno.EBUSY:
                     return True
@@ -179,14 +159,11 @@ def _opened(device: str) -> Iterator[int]:
     check_kind(device)
     try:
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
-    except (FileNotFoundError, NotADirectoryError):
-        raise DeviceError(f"camera {device}: no such device, {_EXPECTED}", code=ReasonCode.ABSENT) from None
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        raise DeviceError(f"camera {escaped(device)}: no such device, {_EXPECTED}", code=ReasonCode.ABSENT) from None
     except PermissionError:
-        raise DeviceError(
-            f"camera {device}: no permission to open it (is the user in the group video?)", code=ReasonCode.PERMISSION
-        ) from None
-    except ValueError:
-        raise DeviceError(f"camera {device!r}: found an invalid path, {_EXPECTED}", code=ReasonCode.ABSENT) from None
+        text = f"camera {device}: no permission to open it (is the user in the group video?)"
+        raise DeviceError(text, code=ReasonCode.PERMISSION) from None
     except OSError as error:
         raise DeviceError(f"camera {device}: cannot open it ({error.strerror})") from None
     try:

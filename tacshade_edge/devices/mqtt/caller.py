@@ -9,11 +9,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.client import Client
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX
-from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, BrokerAddress, connect, connect_failure, make_client
+from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, BrokerAddress
+from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.quoting import escaped, quoted
@@ -23,33 +24,29 @@ CONNECT_S = 5.0
 _ERROR_CHARS_MAX: Final = 500
 
 
-class MqttCaller:
+class MqttCaller(Follower):
     """One client of one daemon. `verb`: verb of the requests. `watched`: retained topics to follow, such as ``state``.
     Raises ConfigError (a host name or authority file that can never work).
     """
 
     def __init__(self, broker: BrokerAddress, *, sensor_id: str, verb: str, watched: tuple[str, ...]) -> None:
-        self._where, self._sensor_id, self._verb = f"{broker['host']}:{broker['port']}", sensor_id, verb
+        super().__init__(broker, self._hear, name=verb)
+        self._sensor_id, self._verb = sensor_id, verb
         self._base = f"tacshade/{sensor_id}"
-        self._topics = [f"{self._base}/{topic}" for topic in (f"res/{verb}", *watched)]
-        self._address = broker["host"], broker["port"]
+        self._results = f"{self._base}/res/{verb}"
         self._changed = threading.Condition()
         self._ready = False
         self._failure: Reason | None = None
         self._denied: MqttCode | None = None
-        self._latest: dict[str, bytes] = {}
+        self._latest = {f"{self._base}/{topic}": b"" for topic in watched}
         self._asked = ""
         self._reply: dict[str, Any] | None = None
-        self._client = make_client(broker, base_topic=self._base, client_id=f"tacshade-{verb}-{secrets.token_hex(6)}")
-        self._client.on_connect = self._on_connect
-        self._client.on_connect_fail = self._on_connect_fail
-        self._client.on_subscribe = self._on_subscribe
         self._client.answered(self._on_answer)
-        self._client.receive(self._on_message)
+        self.follow((self._results, *self._latest))
 
     def start(self) -> None:
         """Connect. Raises DeviceError when no broker answers or it rejects us."""
-        connect(self._client, *self._address)
+        super().start()
         self.wait_for(lambda: self._ready or self._failure is not None, CONNECT_S)
         if not self._ready:
             reason = self._failure or Reason(ReasonCode.NO_ANSWER, f"no answer within {CONNECT_S:.0f} s")
@@ -90,32 +87,18 @@ class MqttCaller:
                 self._changed.wait(min(left_s, 0.1))
             return condition()
 
-    def stop(self) -> None:
-        """Disconnect."""
-        self._client.stop()
-
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
-    def _set_failure(self, code: ReasonCode, text: str) -> None:
+    def _report(self, reason: Reason | None, fix: str = "") -> None:
+        """Keep a failure for `start` to raise, in place of logging it."""
         with self._changed:
-            self._failure = Reason(code, text)
+            self._failure = reason
             self._changed.notify_all()
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
-        if code.is_failure:
-            self._set_failure(ReasonCode.REFUSED, f"rejects the connection: {code}")
-        else:
-            client.subscribe([(topic, 1) for topic in self._topics])
-
-    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        self._set_failure(ReasonCode.UNREACHABLE, connect_failure()[1])
-
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
-        if refused := next((code for code in codes if code.is_failure), None):
-            self._set_failure(ReasonCode.REFUSED, f"rejects a subscription: {refused}")
-            return
+    def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[MqttCode], properties: Any) -> None:
+        super()._on_subscribe(client, userdata, mid, codes, properties)
         with self._changed:
-            self._ready, self._failure = True, None
+            self._ready = self._failure is None
             self._changed.notify_all()
 
     def _on_answer(self, _mid: int, code: MqttCode) -> None:
@@ -123,15 +106,15 @@ class MqttCaller:
             self._denied = code if code.is_failure else None
             self._changed.notify_all()
 
-    def _on_message(self, topic: str, message: MQTTMessage) -> None:
-        payload = bytes(message.payload)
+    def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         with self._changed:
-            if topic == self._topics[0]:
+            if topic == self._results:
                 reply = decode_object(topic, payload)
                 if reply.get("transaction") == self._asked:  # else it is another caller's
                     self._reply = reply
-            elif topic in self._topics:
+            elif topic in self._latest:
                 self._latest[topic] = payload
             else:
-                raise DecodeError(f"found the topic {quoted(topic)}, expected one of {', '.join(self._topics)}")
+                expected = ", ".join((self._results, *self._latest))
+                raise DecodeError(f"found the topic {quoted(topic)}, expected one of {expected}")
             self._changed.notify_all()

@@ -18,7 +18,6 @@ from typing import Any, Final
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
-from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.mqtt.client import Session, connect_now, publish_properties
 from tacshade_edge.errors import DecodeError
@@ -46,18 +45,17 @@ class ClientIdGuard:
     """
 
     def __init__(self, client: Session, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
-        self._client = client
-        self._where, self._host, self._port, self._base = f"{host}:{port}", host, port, base_topic
+        self._client, self._host, self._port, self._base = client, host, port, base_topic
         self._instance = instance
         self._rival = f"{base_topic}/status/rival"
         self._waited = False
-        self._begin()
+        self._forget()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
         client.receive(self._on_message)
 
-    def _begin(self) -> None:
-        self._asked: bool = False
-        self._living: bool = False
+    def _forget(self) -> None:
+        self._asked: bool = False  # whether the broker accepted the query
+        self._living: bool = False  # whether something came that was not retained
         self._reported: bool = False
         self._state: bytes | None = None
         self._holder: dict[str, Any] = {}
@@ -71,22 +69,26 @@ class ClientIdGuard:
         `report`: receives the reason, which names the holder, repeatedly. Raises OSError (no connection, or it was
         lost; call again).
         """
-        self._begin()
+        self._forget()
         self._client.will_set(self._rival, b"", qos=1, retain=True)
         try:
             connect_now(self._client, self._host, self._port)
-            if not self._pump(lambda: stopped() or self._asked, _ANSWER_S) or not self._asked:
+            end_s = time.monotonic() + _ANSWER_S
+            while not self._asked and not stopped() and time.monotonic() < end_s and self._step():
+                pass
+            if not self._asked:
                 return
             self._seen_s = time.monotonic()
-            self._pump(lambda: stopped() or self._free(report), None)
-            if not stopped():
-                self._waited = False
+            while not stopped() and not self._is_free(report):
+                if not self._step():
+                    raise ConnectionResetError("connection lost")
+            self._waited &= stopped()
         finally:
             if self._reported:
                 self._client.publish(self._rival, b"", 0, True)
             self._hang_up()
 
-    def _free(self, report: Callable[[Reason], None]) -> bool:
+    def _is_free(self, report: Callable[[Reason], None]) -> bool:
         """Whether nobody else holds the name, as far as is known now."""
         quiet_s = time.monotonic() - self._seen_s
         if self._state not in _ALIVE:
@@ -96,30 +98,17 @@ class ClientIdGuard:
         if not self._living:  # retained values of a daemon that died unnoticed
             return quiet_s >= _LIFE_S
         self._waited = True
-        reason = Reason(
-            ReasonCode.IN_USE, f"{self._where}: another daemon, {place_of(self._holder)}, is using {self._base}"
-        )
-        report(reason)
+        found = f"another daemon, {place_of(self._holder)}, is using {self._base}"
+        report(reason := Reason(ReasonCode.IN_USE, f"{self._host}:{self._port}: {found}"))
         if not self._reported:
             self._reported = True
             status = encode_status("waiting", reason, self._instance)
             self._client.publish(self._rival, status, 0, True, publish_properties("application/json"))
         return False
 
-    def _pump(self, done: Callable[[], bool], limit_s: float | None) -> bool:
-        """Send and receive until `done` or the limit; False if the broker hung up before it accepted the query."""
-        end_s = None if limit_s is None else time.monotonic() + limit_s
-        while not done() and (end_s is None or time.monotonic() < end_s):
-            if not self._step():
-                if self._asked:
-                    raise ConnectionResetError("connection lost")
-                return False
-        return True
-
     def _hang_up(self) -> None:
         self._client.disconnect()
-        sock = self._client.socket()
-        if sock is not None:
+        if (sock := self._client.socket()) is not None:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
         while self._step():  # reads to the end of the stream, and closes
@@ -138,8 +127,7 @@ class ClientIdGuard:
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if not code.is_failure:
-            names = ("state", "instance", "health")
-            client.subscribe([(f"{self._base}/{name}", SubscribeOptions(1)) for name in names])
+            client.subscribe([(f"{self._base}/{name}", 1) for name in ("state", "instance", "health")])
 
     def _on_subscribe(self, *_: Any) -> None:
         self._asked = True
@@ -150,15 +138,10 @@ class ClientIdGuard:
         if name == "state":
             self._state, self._seen_s = payload, time.monotonic()
         elif name == "instance":
-            self._holder = decode_instance(payload)
-
-
-def decode_instance(payload: bytes) -> dict[str, Any]:
-    """Return a daemon's decoded ``instance``; empty if it is invalid."""
-    try:
-        return decode_object("instance", payload)
-    except DecodeError:
-        return {}
+            try:
+                self._holder = decode_object(name, payload)
+            except DecodeError:
+                self._holder = {}
 
 
 def place_of(instance: dict[str, Any]) -> str:

@@ -11,13 +11,15 @@ from typing import Any, Final
 from paho.mqtt.client import Client
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, refusal_fix
+from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, refusal_fix, with_fix
 from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, connect_failure, make_client
+from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
 
 _INCOMING_BYTES_MAX: Final = 1 << 26
 """Bytes, more than any camera's `height` or `cloud`."""
+_ACL_FIX: Final = "give this user access rules (ACL) that let it read tacshade/#"
 
 
 class Follower:
@@ -26,14 +28,15 @@ class Follower:
     ConfigError (a host name or authority file that can never work).
     """
 
-    def __init__(self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None]) -> None:
-        self._where, self._address = f"{broker['host']}:{broker['port']}", (broker["host"], broker["port"])
-        self._username, self._tls_ca = broker["username"], broker["tls_ca"]
+    def __init__(
+        self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None], *, name: str = "bridge"
+    ) -> None:
+        self._broker, self._where = broker, f"{broker['host']}:{broker['port']}"
         self._lock = threading.Lock()
         self._topics: frozenset[str] = frozenset()
         self._connected = False
-        self._logged = ""
-        self._client = make_client(broker, base_topic="tacshade", client_id=f"tacshade-bridge-{secrets.token_hex(6)}")
+        self._logged: Reason | None = Reason(ReasonCode.STARTING, "not started")
+        self._client = make_client(broker, base_topic="tacshade", client_id=f"tacshade-{name}-{secrets.token_hex(6)}")
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
@@ -42,7 +45,7 @@ class Follower:
 
     def start(self) -> None:
         """Start connecting, and keep trying until `stop`; an absent broker is no error."""
-        connect(self._client, *self._address, incoming_bytes_max=_INCOMING_BYTES_MAX)
+        connect(self._client, self._broker["host"], self._broker["port"], incoming_bytes_max=_INCOMING_BYTES_MAX)
 
     def follow(self, topics: Collection[str]) -> None:
         """Follow these topics and no others from now on; callable from any thread."""
@@ -64,41 +67,39 @@ class Follower:
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
 
-    def _log_once(self, text: str, fix: str = "") -> None:
-        """Log a change, not a repetition. A text with a fix is a fault."""
-        if text == self._logged:
+    def _report(self, reason: Reason | None, fix: str = "") -> None:
+        """Log a change, not a repetition; None is connected."""
+        if reason == self._logged:
             return
-        self._logged = text
-        if fix:
-            _log.warning("%s: %s; to fix it: %s", self._where, text, fix)
+        self._logged = reason
+        if reason is None:
+            _log.info("%s: connected", self._where)
         else:
-            _log.info("%s: %s", self._where, text)
+            _log.warning("%s: %s", self._where, with_fix(reason, fix))
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
     def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._log_once(f"rejects the connection: {code}", refusal_fix(code.value, self._username))
-        else:
-            self._log_once("connected")
+            fix = refusal_fix(code.value, self._broker["username"])
+            self._report(Reason(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix)
+            return
+        self._report(None)
         with self._lock:
-            self._connected = not code.is_failure
-            if self._connected:
-                self._subscribe(self._topics)
+            self._connected = True
+            self._subscribe(self._topics)
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error, text = connect_failure()
-        self._log_once(f"{text}; trying again", connect_fix(error, *self._address, self._tls_ca))
+        fix = connect_fix(error, self._broker["host"], self._broker["port"], self._broker["tls_ca"])
+        self._report(Reason(ReasonCode.UNREACHABLE, text), fix)
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         with self._lock:
             was, self._connected = self._connected, False
         if was:
-            self._log_once(f"connection lost ({code})", BROKERS_LOG)
+            self._report(Reason(ReasonCode.LOST, f"connection lost ({code})"), BROKERS_LOG)
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
-            self._log_once(
-                f"rejects a subscription: {refused}",
-                "give this user access rules (ACL) that let it read tacshade/#",
-            )
+            self._report(Reason(ReasonCode.REFUSED, f"rejects a subscription: {refused}"), _ACL_FIX)

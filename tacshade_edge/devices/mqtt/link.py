@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import socket
@@ -16,8 +17,16 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, no_answer_fix, refusal_fix, with_fix
+from tacshade_edge.devices.fixes import (
+    BROKERS_LOG,
+    MESSAGE_SIZE_FIX,
+    connect_fix,
+    no_answer_fix,
+    refusal_fix,
+    with_fix,
+)
 from tacshade_edge.devices.mqtt.client import (
+    PACKET_TOO_LARGE,
     BrokerAddress,
     connect,
     connect_failure,
@@ -26,8 +35,7 @@ from tacshade_edge.devices.mqtt.client import (
     publish_properties,
 )
 from tacshade_edge.devices.mqtt.client_id_guard import ClientIdGuard, new_instance
-from tacshade_edge.devices.mqtt.outgoing import CONTENT_TYPES, Outgoing
-from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome
+from tacshade_edge.devices.mqtt.outgoing import CONTENT_TYPES, Outgoing, PayloadOutcome
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.requests import Request, encode_error, parse_request, parse_transaction
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -76,9 +84,9 @@ class MqttLink(Outgoing):
     `base_topic`: ``tacshade/<sensor-id>``, without a slash at either end. `client_id`: fixed per sensor: a new
     connection must take over from a dead one, including its will. It does not take over from a live one: while another
     daemon uses the sensor's name, this one waits. `tls_ca`: PEM file of the authority that signed the broker's
-    certificate; None disables TLS. `on_request`, `on_outcome`: called from paho's network thread or from the caller of
-    `offer`; they must only count or enqueue. `on_outcome` receives (stream, seq, outcome) once per offered payload.
-    Raises ConfigError (a host name, topic or authority file that can never work).
+    certificate; None disables TLS. `on_request` is called from paho's network thread, `on_outcome` also from the
+    callers' threads; they must only count or enqueue. Raises ConfigError (a host name, topic or authority file that can
+    never work).
     """
 
     def __init__(
@@ -95,16 +103,14 @@ class MqttLink(Outgoing):
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
         instance = new_instance()
-        broker = BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
-        client, asking = (make_client(broker, base_topic=base_topic, client_id=name) for name in (client_id, ""))
+        self._broker = BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
+        client, asking = (make_client(self._broker, base_topic=base_topic, client_id=name) for name in (client_id, ""))
         super().__init__(client, f"{host}:{port}", base_topic, on_outcome)
-        self._host, self._port, self._username, self._tls_ca = host, port, username, tls_ca
         self._on_request = on_request
-        self._refused = False
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._watched: dict[str, Callable[[bytes], None]] = {}
         self._thread: threading.Thread | None = None
-        self._holder = ClientIdGuard(asking, host, port, base_topic, instance)
+        self._guard = ClientIdGuard(asking, host, port, base_topic, instance)
         will = publish_properties(CONTENT_TYPES["state"], of_will=True)
         client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
         client.on_pre_connect = self._on_pre_connect
@@ -124,7 +130,7 @@ class MqttLink(Outgoing):
     def start(self) -> None:
         """Start connecting, and keep trying until `stop`; an absent broker is no error. Call once."""
         self._set_reason(self._with_address(ReasonCode.STARTING, "connecting"))
-        connect(self._client, self._host, self._port)
+        connect(self._client, self._broker["host"], self._broker["port"])
 
     def stop(self, timeout_s: float) -> None:
         """Publish what waits and ``state`` = ``stopped``, and disconnect; always return within `timeout_s`.
@@ -132,25 +138,24 @@ class MqttLink(Outgoing):
         A broker that does not accept that in time publishes the last will, ``offline``, instead.
         Every payload not sent by then has failed.
         """
-        begin = time.monotonic()
-        with self._lock:
-            streams = [o for o in self._outlets.values() if not o.retain]
-            for outlet in streams:
-                outlet.most += 1  # the last payload of each stream precedes the state
-        for outlet in streams:
-            self._pump(outlet)
+        began_s = time.monotonic()
+
+        def left_s(part: float) -> float:
+            return max(0.0, began_s + part * timeout_s - time.monotonic())
+
+        self._state_sent.clear()
+        self._post(self._pump_last)
         self.set_retained("state", b"stopped")
-        state = self._outlets["state"]
-        with self._lock:
-            self._changed.wait_for(lambda: state.idle or not self._connected, 0.6 * timeout_s)
-            self._stopping = True
+        if self.connected:
+            self._state_sent.wait(left_s(0.6))
+        self._stopping = True
         self._client.disconnect()
-        with self._lock:
-            self._changed.wait_for(lambda: not self._connected, begin + 0.8 * timeout_s - time.monotonic())
-        self._end_thread(begin + timeout_s)
-        with self._lock:
-            left = self._lose(None) + [(o.topic, i) for o in streams for i in o.drain()]
-        self._settle("failed", left)
+        self._away.wait(left_s(0.8))
+        self._end_thread(left_s(1.0))
+        done = threading.Event()
+        self._post(self._give_up)
+        self._post(done.set)
+        done.wait(left_s(1.0))
 
     def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
         """Subscribe to a topic below the base on every connection, retained value included; call before `start`.
@@ -160,13 +165,43 @@ class MqttLink(Outgoing):
         """
         self._watched[topic] = on_payload
 
-    def _lose(self, reason: Reason | None, code: int | None = None) -> list[tuple[str, Item]]:
-        """Record the loss of the connection; return the items that failed with it. Lock held."""
-        if self._stopping:
-            self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
-        else:
-            self._set_reason(reason, BROKERS_LOG)
-        return self._forget(code)
+    # -- executed in turn -----------------------------------------------------------------------------------------
+
+    def _pump_last(self) -> None:
+        """Send the last payload of each stream, however many paho holds."""
+        for slot in self._slots.values():
+            if not slot.retain:
+                slot.most += 1
+                self._pump(slot)
+
+    def _give_up(self) -> None:
+        self._lost()
+        for slot in self._slots.values():
+            if not slot.retain and slot.waiting is not None:
+                self._settle("failed", slot, slot.waiting)
+                slot.waiting = None
+        self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
+
+    def _disconnected(self, code: MqttCode | None) -> None:
+        """Record that a connection ended; paho may lose one without a code."""
+        if self.connected and not self._stopping:
+            why = "connection lost" if code is None else f"connection lost ({code})"
+            fix = MESSAGE_SIZE_FIX if code is not None and code.value == PACKET_TOO_LARGE else BROKERS_LOG
+            self._set_reason(self._with_address(ReasonCode.LOST, why), fix)
+        elif code is not None and not self._stopping and not (self._reason and self._reason.code is ReasonCode.REFUSED):
+            text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
+            self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._broker["tls_ca"]))
+        self._lost()
+
+    def _greeted(self, bytes_max: int | None) -> None:
+        self._set_reason(None)
+        self._accepted(bytes_max)
+
+    def _subscribed(self, codes: list[MqttCode]) -> None:
+        for topic, code in zip(("req/+", *self._watched), codes, strict=False):
+            self._note(topic, 0, code)
+
+    # -------------------------------------------------------------------------------------------------------------
 
     def _with_address(self, code: ReasonCode, text: str) -> Reason:
         return Reason(code, f"{self._where}: {text}")
@@ -181,43 +216,36 @@ class MqttLink(Outgoing):
         else:
             _log.info("%s", reason or f"{self._where}: connected")
 
-    def _end_thread(self, deadline: float) -> None:
+    def _end_thread(self, timeout_s: float) -> None:
         """Wait for paho's thread; leave one that hangs in a connection attempt, since it is a daemon thread."""
         sock = self._client.socket()
         if sock is not None:
-            try:
+            with contextlib.suppress(OSError):  # it was already closed
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-            except OSError:
-                _log.debug("the socket was already closed")
         if self._thread is not None:
-            self._thread.join(max(0.0, deadline - time.monotonic()))
+            self._thread.join(timeout_s)
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
-        self._thread, self._refused = threading.current_thread(), False
-        if self._connected:  # paho can lose a connection without calling on_disconnect
-            self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
-        self._holder.wait_until_gone(self._report_holder, lambda: self._stopping)
+        self._thread = threading.current_thread()
+        self._post(lambda: self._disconnected(None))
+        self._guard.wait_until_gone(self._report_holder, lambda: self._stopping)
         if self._stopping:
             raise ConnectionAbortedError("stopped")
 
     def _report_holder(self, reason: Reason) -> None:
-        if reason != self._reason:
-            _log.warning("%s; waiting for the other daemon to stop", reason)
-        with self._lock:
-            self._reason = reason
+        self._set_reason(reason, "stop the other daemon, or wait until it ends")
 
     def _on_connect(
         self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Properties | None
     ) -> None:
         if code.is_failure:
-            with self._lock:
-                self._refused = True
-                self._set_reason(
-                    self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"),
-                    refusal_fix(code.value, self._username),
-                )
+            fix = refusal_fix(code.value, self._broker["username"])
+            self._set_reason(self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix)
+            return
+        if self._stopping:
+            client.disconnect()
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones
         client.subscribe(
@@ -226,50 +254,27 @@ class MqttLink(Outgoing):
                 *((f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True)) for topic in self._watched),
             ]
         )
-        with self._lock:
-            self._connected = not self._stopping
-            self._size_limit.connected(packet_bytes_max(properties), time.monotonic_ns())
-            self._counters["connects"] += 1
-            self._set_reason(None)
-            state = self._outlets["state"]
-        self._pump(state)
-        if self._stopping:
-            client.disconnect()
+        self._post(lambda: self._greeted(packet_bytes_max(properties)))
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error, text = connect_failure()
-        with self._lock:
-            if not self._stopping:
-                fix = connect_fix(error, self._host, self._port, self._tls_ca)
-                self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
+        if not self._stopping:
+            fix = connect_fix(error, self._broker["host"], self._broker["port"], self._broker["tls_ca"])
+            self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
-        if self._connected:
-            self._drop(self._with_address(ReasonCode.LOST, f"connection lost ({code})"), code.value)
-        elif not self._refused and not self._stopping:  # else the refusal stays the reason, or we ended it ourselves
-            text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
-            with self._lock:
-                self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._tls_ca))
+        self._post(lambda: self._disconnected(code))
 
-    def _drop(self, reason: Reason, code: int | None = None) -> None:
-        with self._lock:
-            failed = self._lose(reason, code)
-        self._settle("failed", failed)
-
-    def _on_subscribe(
-        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
-    ) -> None:
-        with self._lock:
-            for topic, code in zip(("req/+", *self._watched), codes, strict=False):
-                self._note(topic, 0, code)
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+        self._post(lambda: self._subscribed(codes))
 
     def _on_message(self, topic: str, message: MQTTMessage) -> None:
         if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:
             on_payload(bytes(message.payload))
             return
         request = read_request(self._base, topic, message)
-        with self._lock:
-            self._counters["bad_requests" if isinstance(request, BadRequest) else "requests"] += 1
+        kind = "bad_requests" if isinstance(request, BadRequest) else "requests"
+        self._post(lambda: self._counters.update((kind,)))
         if isinstance(request, Request):
             self._on_request(request)
         elif request.topic is not None:

@@ -1,10 +1,10 @@
 """Publishing to the broker: it never blocks its caller, and its memory is bounded whatever the peer does.
 
-paho's own queue is unbounded for QoS 0, so every topic has a `TopicSlot`: one waiting payload, the newest, and
-at most two that paho holds and has not yet written.
+paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest, and at most two
+that paho holds and has not yet written.
 
-Threads: the callers' and paho's network thread. `_lock` guards all state and is never held during a call to paho or to
-a callback of ours, since paho calls back while it holds its own locks.
+Threads: the callers' and paho's network thread. Whatever changes the state is a call in one queue, which one thread at
+a time executes, so they need no lock. No thread waits for another's turn: paho calls back while it holds its own locks.
 """
 
 from __future__ import annotations
@@ -12,127 +12,28 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX, with_fix
 from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, Session, packet_bytes, publish_properties
-from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.topics import OF_SENSORS
 from tacshade_edge.reasons import Reason, ReasonCode
 
-SMALL_BYTES: Final = 1024
-"""No larger message is needed for a broker to end a connection for another reason."""
-_AT_ONCE_NS: Final = 3_000_000_000
-_FIRST_RETRY_NS, _LAST_RETRY_NS = 60_000_000_000, 3_600_000_000_000
-
-
-@dataclass(slots=True)
-class SizeLimit:
-    """What is known of a broker's limit. Sizes are in bytes on the wire. It has no lock: its owner guards it.
-
-    Some brokers announce a limit when a client connects. Others reject a larger message of QoS 1, silently drop one of
-    QoS 0, or end the connection.
-
-    `announced`: the largest packet according to the broker; None if it set no limit. `why`: how the limit showed, once
-    a message was too large; empty before.
-    """
-
-    announced: int | None = None
-    why: str = ""
-    _learned: int | None = None
-    _proven: int = 0
-    _suspected: int = 0
-    _retry_ns: int = 0
-    _pause_ns: int = _FIRST_RETRY_NS
-    _connected_ns: int = 0
-
-    def connected(self, announced: int | None, now_ns: int) -> None:
-        """Begin a connection: sizes are tried again, but a limit that was learned stays."""
-        if announced != self.announced:
-            self.why = ""
-        self.announced, self._proven, self._connected_ns = announced, 0, now_ns
-
-    def refuses(self, size: int, now_ns: int) -> bool:
-        """Whether the broker would reject a message of `size`. After some minutes a learned limit is tried again."""
-        if self._learned is not None and now_ns >= self._retry_ns:
-            self._learned, self.why = None, ""
-        if self._learned is not None and size > self._learned:
-            return True
-        if self.announced is None or size <= self.announced:
-            return False
-        self.why = self.why or f"accepts packets of at most {self.announced} bytes"
-        return True
-
-    def untried(self, size: int) -> bool:
-        """Whether the broker has not yet acknowledged a message of this size, so it must be sent with QoS 1."""
-        return size > self._proven
-
-    def took(self, size: int) -> None:
-        """Record an acknowledged message."""
-        self._proven = max(self._proven, size)
-        if size >= self._suspected:
-            self._suspected = 0
-
-    def rejected(self, size: int, now_ns: int) -> None:
-        """Record a message that the broker called too large."""
-        self._learn(size - 1, f"rejects a message of {size} bytes as too large", now_ns)
-
-    def lost(self, sizes: Collection[int], said_so: bool, now_ns: int) -> None:
-        """Record a lost connection, and the sizes of the messages that the broker had not acknowledged.
-
-        The broker is at fault if it said so, or if a connection that followed ended like this at once.
-        """
-        size = max(sizes, default=0)
-        if size <= max(self._proven, SMALL_BYTES):
-            return
-        if said_so or (self._suspected and now_ns - self._connected_ns < _AT_ONCE_NS):
-            # Below this size, so that sizes that vary need few connections.
-            self._learn(
-                max(size * 3 // 4, self._proven), f"ends the connection after a message of {size} bytes", now_ns
-            )
-        self._suspected = size
-
-    def _learn(self, largest: int, why: str, now_ns: int) -> None:
-        if self._learned is None:
-            self._retry_ns = now_ns + self._pause_ns
-            self._pause_ns = min(2 * self._pause_ns, _LAST_RETRY_NS)
-            self.why = why
-        self._learned = largest if self._learned is None else min(self._learned, largest)
-
-
-class Refusals:
-    """The topics that are rejected now, logged once: that continues until somebody fixes the broker's rules.
-
-    It has no lock: its owner guards it. `where`: name of the broker in the log.
-    """
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-        self._topics: set[str] = set()
-
-    def refused(self, topic: str, why: str) -> None:
-        """Record a rejected message or subscription to a topic; log the first."""
-        if not self._topics:
-            _log.warning("%s: rejects %s: %s; further rejections are not logged", self._where, topic, why)
-        self._topics.add(topic)
-
-    def taken(self, topic: str) -> None:
-        """Record an accepted one; log the end of all rejections."""
-        if topic in self._topics:
-            self._topics.remove(topic)
-            if not self._topics:
-                _log.info("%s: no longer rejects any topic", self._where)
-
-
 _log = logging.getLogger(__name__)
 
+PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
+
+PROBE_PERIOD_NS: Final = 1_000_000_000
+"""Period in ns at which a message of a stream probes for subscribers, so a new one is noticed within it. Whole periods
+of the clock, so that the streams of a frame probe together: a frame that only probes is reconstructed for nobody."""
 _UNSENT_PER_STREAM: Final = 2
 _ANSWERS_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
@@ -145,63 +46,112 @@ _COUNTERS: Final = (
 )
 
 
-class _Sent(NamedTuple):
-    """A message that paho holds: the stream's or retained item, or None for a reply or an event; its size in bytes."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Item:
+    payload: bytes
+    seq: int
 
-    outlet: TopicSlot | None
-    item: Item | None
+
+@dataclass(slots=True, eq=False)
+class _Slot:
+    """The payloads of one topic that wait or that paho holds: the latest wins."""
+
+    topic: str
+    qos: int
+    retain: bool  # the newest value is sent again on every connection, and has no outcome
+    most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
+    properties: Properties
+    waiting: _Item | None = None
+    handed: list[_Item] = field(default_factory=list)
+    newest: _Item | None = None
+    # Answers of this connection's broker:
+    probed_ns: int | None = None
+    no_listener: bool = False
+    refused: bool | None = None
+
+    def probe_due(self, now_ns: int) -> bool:
+        return self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
+
+    def next_qos(self, now_ns: int) -> int:
+        """Return the QoS of the message being sent: 1 for a probe. Until its answer comes, the previous one holds."""
+        if self.retain or not self.probe_due(now_ns):
+            return self.qos
+        self.probed_ns = now_ns
+        return 1
+
+    def disconnected(self) -> list[_Item]:
+        """Take back what paho held: the newest waits again unless a newer one does; return the others, which failed."""
+        lost, self.handed = self.handed, []
+        self.probed_ns, self.no_listener, self.refused = None, False, None
+        if self.retain:
+            self.waiting = self.newest
+            return []
+        if self.waiting is None and lost:
+            self.waiting = lost.pop()
+        return lost
+
+
+class _Sent(NamedTuple):
+    """A message that paho holds: its slot and item, or None for a reply or an event."""
+
+    slot: _Slot | None
+    item: _Item | None
     qos: int
     size: int
 
 
 class Outgoing:
-    """The payloads on their way to one broker. `client`: this object receives its answers. `where`: name of the broker
-    in the log. `on_outcome`: receives (stream, seq, outcome) once per offered payload.
+    """The payloads on their way to one broker. `where`: name of the broker in the log. `on_outcome`: receives (stream,
+    seq, outcome) once per offered payload, in the thread whose turn it is.
     """
 
     def __init__(
         self, client: Session, where: str, base_topic: str, on_outcome: Callable[[str, int, PayloadOutcome], None]
     ) -> None:
         self._client, self._where, self._base, self._on_outcome = client, where, base_topic, on_outcome
-        self._lock = threading.Lock()
-        self._changed = threading.Condition(self._lock)
-        self._connected, self._stopping = False, False
-        self._epoch = 0  # counts lost connections: items of an earlier one are already settled
-        self._outlets: dict[str, TopicSlot] = {}
+        self._calls: deque[Callable[[], None]] = deque()
+        self._turn = threading.Lock()
+        self._away = threading.Event()
+        self._away.set()
+        self._state_sent = threading.Event()  # the newest one, or the connection was lost
+        self._stopping = False
+        self._slots: dict[str, _Slot] = {}
         self._by_mid: dict[int, _Sent] = {}
-        self._early: dict[int, MqttCode] = {}  # answers that came before publish() returned their mid
-        self._answers_open = 0
-        self._refusals = Refusals(where)
-        self._size_limit = SizeLimit()
+        self._denied: set[str] = set()
+        # The largest packet that the broker accepts and how that showed, and the largest that it has acknowledged.
+        self._bytes_max: int | None = None
+        self._bytes_max_why = ""
+        self._bytes_proven = 0
         self._too_large: Reason | None = None
-        self._counters: Counter[str] = Counter()
-        client.answered(self._on_answer)
+        self._counters = Counter(dict.fromkeys(_COUNTERS, 0))
+        client.answered(lambda mid, code: self._post(lambda: self._answered(mid, code)))
 
     @property
     def connected(self) -> bool:
         """Whether the broker has accepted us."""
-        return self._connected
+        return not self._away.is_set()
 
     @property
     def limited(self) -> Reason | None:
-        """Why the broker gets no large messages; None while no message has exceeded its limit."""
+        """Why the broker gets no large messages; None while no message of this connection has exceeded its limit."""
         return self._too_large
 
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
-        with self._lock:
-            counts = self._counters + Counter(bad_requests=self._client.refused)
-            return {name: counts[name] for name in _COUNTERS}
+        return {**self._counters, "bad_requests": self._counters["bad_requests"] + self._client.refused}
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.
 
         The topic is relative to the base topic; with a leading slash it starts at the broker's root.
         """
-        with self._lock:
-            outlet = self._outlet(topic, qos, True)
-            outlet.put(Item(payload, 0))
-        self._pump(outlet)
+
+        def put() -> None:
+            slot = self._slot(topic, qos, True)
+            slot.waiting = slot.newest = _Item(payload, 0)
+            self._pump(slot)
+
+        self._post(put)
 
     def has_listener(self, stream: str) -> bool:
         """Whether a stream may have a subscriber: False while the broker's latest answer reported none.
@@ -209,9 +159,8 @@ class Outgoing:
         Even then it is True once a second, so that the next payload probes again. It is always True while the broker
         is away, or if it never reports this (MQTT 5 leaves that to the broker).
         """
-        with self._lock:
-            outlet = self._outlets.get(stream)
-            return outlet is None or not outlet.no_listener or outlet.probe_due(time.monotonic_ns())
+        slot = self._slots.get(stream)
+        return slot is None or not slot.no_listener or slot.probe_due(time.monotonic_ns())
 
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
         """Send a payload of a stream (not retained) once the peer accepts it, unless a newer one comes first.
@@ -224,14 +173,15 @@ class Outgoing:
         newest payload is kept while the broker is away and is sent first afterwards, so that subscribers do not keep
         outdated data.
         """
-        with self._lock:
-            outlet = self._outlet(stream, 0, False)
-            item = Item(payload, seq)
-            displaced = item if self._stopping else outlet.put(item)
-            outcome: PayloadOutcome = "superseded" if self._connected and not self._stopping else "failed"
-        if displaced is not None:
-            self._settle(outcome, [(stream, displaced)])
-        self._pump(outlet)
+
+        def put() -> None:
+            slot, item = self._slot(stream, 0, False), _Item(payload, seq)
+            displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
+            if displaced is not None:
+                self._settle("superseded" if self.connected and not self._stopping else "failed", slot, displaced)
+            self._pump(slot)
+
+        self._post(put)
 
     def reply(self, request: Request, payload: bytes) -> None:
         """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic. Lost with the connection."""
@@ -241,75 +191,50 @@ class Outgoing:
         """Publish an event once, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
         self._send_once("events", topic, payload, None)
 
+    def _post(self, call: Callable[[], None]) -> None:
+        """Execute a call after those already posted; at once, unless another thread is executing them."""
+        self._calls.append(call)
+        while self._calls and self._turn.acquire(blocking=False):
+            try:
+                while self._calls:
+                    self._calls.popleft()()
+            finally:
+                self._turn.release()
+
+    # -- executed in turn -----------------------------------------------------------------------------------------
+
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
 
-    def _outlet(self, topic: str, qos: int, retain: bool) -> TopicSlot:
-        """Return the topic's outlet, created on first use. Lock held."""
-        if topic not in self._outlets:
+    def _slot(self, topic: str, qos: int, retain: bool) -> _Slot:
+        if topic not in self._slots:
             content_type = CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
-            most = 1 if retain else _UNSENT_PER_STREAM
-            self._outlets[topic] = TopicSlot(topic, qos, retain, most, properties)
-        return self._outlets[topic]
+            self._slots[topic] = _Slot(topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties)
+        return self._slots[topic]
 
-    def _pump(self, outlet: TopicSlot) -> None:
-        """Hand paho the items it may send. One thread at a time per outlet; a second leaves the work to the first."""
-        while True:
-            with self._lock:
-                item = outlet.take() if self._may_go(outlet) else None
-                epoch = self._epoch
-                if item is None:
-                    return
-                now_ns = time.monotonic_ns()
-                size = packet_bytes(self._path(outlet.topic), item.payload, outlet.properties)
-                if too_large := self._exceeds(outlet.topic, size, now_ns):
-                    outlet.done(item)
-                    outlet.busy = False
-                    self._counters["refused"] += outlet.retain
-                else:
-                    qos = max(outlet.next_qos(now_ns), self._size_limit.untried(size))
-            if too_large:
-                if not outlet.retain:
-                    self._settle("refused", [(outlet.topic, item)])
-                continue
-            info = self._client.publish(self._path(outlet.topic), item.payload, qos, outlet.retain, outlet.properties)
-            settled: tuple[PayloadOutcome, Item] | None = None
-            with self._lock:
-                outlet.busy = False
-                if epoch != self._epoch:
-                    continue  # already settled when the connection was lost
-                taken = info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
-                if not taken:  # the connection is failing; the next one pumps
-                    failed = outlet.refuse(item)
-                    settled = None if failed is None else ("failed", failed)
-                elif (code := self._early.pop(info.mid, None)) is not None:
-                    settled = (self._done(outlet, item, qos, size, code), item)
-                else:
-                    self._by_mid[info.mid] = _Sent(outlet, item, qos, size)
-            if settled is not None:
-                self._settled(outlet, *settled)
-            if not taken:
-                return
-
-    def _may_go(self, outlet: TopicSlot) -> bool:
-        """Whether paho may get more items of a topic. Lock held.
+    def _pump(self, slot: _Slot) -> None:
+        """Hand paho the items of a slot that it may send.
 
         The state goes first, and the rest once the broker has answered it: otherwise frames that access rules deny
         would count as published until the answer.
         """
-        state = self._outlets["state"]
-        return self._connected and not self._stopping and (outlet is state or state.refused is not None)
-
-    def _settled(self, outlet: TopicSlot, outcome: PayloadOutcome, item: Item) -> None:
-        """Report the outcome of an item that paho held. Lock not held."""
-        if not outlet.retain:
-            self._settle(outcome, [(outlet.topic, item)])
-        elif outlet.topic == "state":
-            with self._lock:
-                others = sorted((o for o in self._outlets.values() if o is not outlet), key=lambda o: not o.retain)
-            for other in others:
-                self._pump(other)
+        state = self._slots["state"]
+        while (item := slot.waiting) is not None and len(slot.handed) < slot.most:
+            if not self.connected or self._stopping or (slot is not state and state.refused is None):
+                return
+            slot.waiting = None
+            size = packet_bytes(self._path(slot.topic), item.payload, slot.properties)
+            if self._exceeds(slot.topic, size):
+                self._settle("refused", slot, item)
+                continue
+            qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
+            info = self._client.publish(self._path(slot.topic), item.payload, qos, slot.retain, slot.properties)
+            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:  # the connection is failing; the next one pumps
+                slot.waiting = item
+                return
+            slot.handed.append(item)
+            self._by_mid[info.mid] = _Sent(slot, item, qos, size)
 
     def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
         """Publish a reply or an event (QoS 1).
@@ -318,107 +243,106 @@ class Outgoing:
         """
         properties = publish_properties(_JSON, correlation=correlation)
         size = packet_bytes(self._path(topic), payload, properties)
-        with self._lock:
-            too_large = self._exceeds(topic, size, time.monotonic_ns())
-            if too_large or not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
+
+        def send() -> None:
+            too_large = self._exceeds(topic, size)
+            open_now = sum(sent.slot is None for sent in self._by_mid.values())
+            if too_large or not self.connected or open_now >= _ANSWERS_OPEN_MAX:
                 self._counters[f"{kind}_dropped"] += 1
                 self._counters["refused"] += too_large
                 return
-            self._answers_open += 1
             self._counters[kind] += 1
-            epoch = self._epoch
-        info = self._client.publish(self._path(topic), payload, 1, False, properties)
-        with self._lock:
-            if epoch != self._epoch:
-                return
-            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
-                self._answers_open -= 1
-            elif (code := self._early.pop(info.mid, None)) is not None:
-                self._answered(size, code)
-            else:
+            info = self._client.publish(self._path(topic), payload, 1, False, properties)
+            if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
                 self._by_mid[info.mid] = _Sent(None, None, 1, size)
 
-    def _answered(self, size: int, code: MqttCode) -> None:
-        """Record the broker's answer to a reply or an event. Lock held."""
-        self._answers_open -= 1
-        self._note("res or event", size, code)
-        self._counters["refused"] += code.is_failure
+        self._post(send)
 
-    def _done(self, outlet: TopicSlot, item: Item, qos: int, size: int, code: MqttCode) -> PayloadOutcome:
-        """Record that paho sent an item (QoS 0) or the broker answered it (QoS 1); return its outcome. Lock held."""
-        outlet.done(item)
-        self._changed.notify_all()
+    def _answered(self, mid: int, code: MqttCode) -> None:
+        """Record that paho sent a message (QoS 0) or the broker answered it (QoS 1)."""
+        if mid not in self._by_mid:
+            return  # of an earlier connection
+        slot, item, qos, size = self._by_mid.pop(mid)
+        if slot is None or item is None:
+            self._note("res or event", size, code)
+            self._counters["refused"] += code.is_failure
+            return
+        slot.handed.remove(item)
+        too_large = code.value == PACKET_TOO_LARGE
         if qos == 1:
-            self._note(outlet.topic, size, code)
-            self._counters["refused"] += outlet.retain and code.is_failure
-            if code.value == PACKET_TOO_LARGE:  # which says nothing about the topic
-                outlet.refused = bool(outlet.refused)
-                return "refused"
-            outlet.no_listener = code.value == _NO_LISTENER
-            outlet.refused = code.is_failure
+            self._note(slot.topic, size, code)
+            if too_large:  # which says nothing about the topic
+                slot.refused = bool(slot.refused)
+            else:
+                slot.no_listener, slot.refused = code.value == _NO_LISTENER, code.is_failure
+        state = self._slots["state"]
         # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
-        refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
-        return "refused" if refused else "published"
+        denied = code.is_failure if slot.retain else state.refused if slot.refused is None else slot.refused
+        self._settle("refused" if too_large or denied else "published", slot, item)
+        if slot is state:
+            for other in sorted(self._slots.values(), key=lambda o: (o is state, not o.retain)):
+                self._pump(other)
+        self._pump(slot)
+        if not state.handed:
+            self._state_sent.set()
 
     def _note(self, topic: str, size: int, code: MqttCode) -> None:
-        """Record whether the broker accepts a message, and so its size and its topic. Lock held."""
+        """Record whether the broker accepts a message, and so its size and its topic."""
+        path = self._path(topic)
         if code.value == PACKET_TOO_LARGE:
-            now_ns = time.monotonic_ns()
-            self._size_limit.rejected(size, now_ns)
-            self._exceeds(topic, size, now_ns)
+            self._bytes_max = size - 1
+            self._bytes_max_why = f"rejects a message of {size} bytes as too large"
+            self._exceeds(topic, size)
             return
-        self._size_limit.took(size)
+        self._bytes_proven = max(self._bytes_proven, size)
         if code.is_failure:
-            which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
-            expected = f"expected access rules (ACL) that allow this user to publish to {which}"
-            self._refusals.refused(self._path(topic), f"{code}, {expected}")
-        else:
-            self._refusals.taken(self._path(topic))
+            if not self._denied:
+                which = path if topic.startswith("/") else f"{self._base}/#"
+                expected = f"expected access rules (ACL) that allow this user to publish to {which}"
+                more = "further rejections are not logged"
+                _log.warning("%s: rejects %s: %s, %s; %s", self._where, path, code, expected, more)
+            self._denied.add(path)
+        elif path in self._denied:
+            self._denied.remove(path)
+            if not self._denied:
+                _log.info("%s: no longer rejects any topic", self._where)
 
-    def _exceeds(self, topic: str, size: int, now_ns: int) -> bool:
-        """Whether a message is larger than the broker accepts. Lock held."""
-        exceeds = self._size_limit.refuses(size, now_ns)
-        why = self._size_limit.why
-        if exceeds and self._too_large is None:
+    def _exceeds(self, topic: str, size: int) -> bool:
+        """Whether a message is larger than the broker accepts; log the first of a connection."""
+        if self._bytes_max is None or size <= self._bytes_max:
+            return False
+        if self._too_large is None:
             skipped = f"so this client skips {self._path(topic)} of {size} bytes, and other large messages"
-            self._too_large = Reason(ReasonCode.MESSAGE_SIZE_LIMIT, f"{self._where}: {why}, {skipped}")
+            text = f"{self._where}: {self._bytes_max_why}, {skipped}"
+            self._too_large = Reason(ReasonCode.MESSAGE_SIZE_LIMIT, text)
             _log.warning("%s", with_fix(self._too_large, MESSAGE_SIZE_FIX))
-        elif not why:
-            self._too_large = None
-        return exceeds
+        return True
 
-    def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
-        """Report the outcome of stream items. Lock not held."""
-        with self._lock:
-            if outcome == "failed" and not self._counters["connects"]:
-                outcome = "superseded"  # no broker has been there yet
-            self._counters[outcome] += len(items)
-        for stream, item in items:
-            self._on_outcome(stream, item.seq, outcome)
+    def _settle(self, outcome: PayloadOutcome, slot: _Slot, item: _Item) -> None:
+        """Report the outcome of an item; of retained ones only refusals are counted."""
+        if slot.retain:
+            self._counters["refused"] += outcome == "refused"
+            return
+        if outcome == "failed" and not self._counters["connects"]:
+            outcome = "superseded"  # no broker has been there yet
+        self._counters[outcome] += 1
+        self._on_outcome(slot.topic, item.seq, outcome)
 
-    def _forget(self, code: int | None) -> list[tuple[str, Item]]:
-        """Forget the connection, which the broker ended with `code`; return the stream items that failed. Lock held."""
-        if self._connected and not self._stopping:
-            unanswered = [sent.size for sent in self._by_mid.values() if sent.qos == 1]
-            self._size_limit.lost(unanswered, code == PACKET_TOO_LARGE, time.monotonic_ns())
-        self._counters["losses"] += self._connected and not self._stopping
-        self._connected = False
-        self._epoch += 1
-        self._by_mid.clear()
-        self._early.clear()
-        self._answers_open = 0
-        self._changed.notify_all()
-        return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
+    def _accepted(self, bytes_max: int | None) -> None:
+        """Begin a connection to a broker that accepts packets of this size; None is any."""
+        self._counters["connects"] += 1
+        self._bytes_max, self._bytes_max_why = bytes_max, f"accepts packets of at most {bytes_max} bytes"
+        self._bytes_proven, self._too_large = 0, None
+        self._away.clear()
+        self._pump(self._slots["state"])
 
-    def _on_answer(self, mid: int, code: MqttCode) -> None:
-        with self._lock:
-            if mid not in self._by_mid:
-                self._early[mid] = code
-                return
-            outlet, item, qos, size = self._by_mid.pop(mid)
-            if outlet is None or item is None:
-                self._answered(size, code)
-                return
-            outcome = self._done(outlet, item, qos, size, code)
-        self._settled(outlet, outcome, item)
-        self._pump(outlet)
+    def _lost(self) -> None:
+        """Forget the connection, if there is one."""
+        if self.connected:
+            self._counters["losses"] += not self._stopping
+            self._by_mid.clear()
+            for slot in self._slots.values():
+                for item in slot.disconnected():
+                    self._settle("failed", slot, item)
+            self._away.set()
+            self._state_sent.set()

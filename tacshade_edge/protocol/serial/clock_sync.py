@@ -19,6 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
+
 from tacshade_edge.reasons import Reason, ReasonCode
 
 SyncMode = Literal["none", "oneway", "two-way"]
@@ -259,29 +261,18 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
     """Fit a line through the best exchanges by least squares; longer round trips get less weight."""
     count = max(math.ceil(len(exchanges) * BEST_FRACTION), min(len(exchanges), BEST_MIN))
     best = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
-    least_ns = best[0].round_trip_ns
     at_ns, base_ns = best[0].robot_ns, best[0].offset_ns
-    sigmas = [(e.round_trip_ns - least_ns) / 2 + least_ns / 8 + TOLERANCE_NS for e in best]
-    weights = [1 / sigma**2 for sigma in sigmas]
-    total = sum(weights)
-    x = [float(e.robot_ns - at_ns) for e in best]
-    y = [float(e.offset_ns - base_ns) for e in best]
-    mean_x = sum(w * v for w, v in zip(weights, x, strict=True)) / total
-    mean_y = sum(w * v for w, v in zip(weights, y, strict=True)) / total
+    relative = [(e.robot_ns - at_ns, e.offset_ns - base_ns, e.round_trip_ns) for e in best]
+    x, y, round_trip = np.array(relative, dtype=np.float64).T
+    weights = ((round_trip - round_trip[0]) / 2 + round_trip[0] / 8 + TOLERANCE_NS) ** -2
+    total = weights.sum()
+    mean_x, mean_y, bound_ns = (float(weights @ v / total) for v in (x, y, round_trip / 2))
     # The prior on the drift keeps two exchanges in quick succession from turning their noise into a slope.
-    information = sum(w * (v - mean_x) ** 2 for w, v in zip(weights, x, strict=True)) + DRIFT_EXPECTED**-2
-    slope = sum(w * (v - mean_x) * (u - mean_y) for w, v, u in zip(weights, x, y, strict=True)) / information
-    bound_ns = sum(w * e.round_trip_ns for w, e in zip(weights, best, strict=True)) / total / 2
+    information = float(weights @ (x - mean_x) ** 2) + DRIFT_EXPECTED**-2
+    slope = float(weights @ ((x - mean_x) * (y - mean_y))) / information
     middle = round(mean_x)
-    return _Line(
-        at_ns + middle,
-        base_ns,
-        mean_y + slope * (middle - mean_x),
-        slope,
-        information**-0.5,
-        total**-0.5,
-        bound_ns + TOLERANCE_NS,
-    )
+    rest_ns, sigma_ns = mean_y + slope * (middle - mean_x), float(total) ** -0.5
+    return _Line(at_ns + middle, base_ns, rest_ns, slope, information**-0.5, sigma_ns, bound_ns + TOLERANCE_NS)
 
 
 def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:

@@ -25,7 +25,9 @@ _BITS_PER_BYTE: Final = 10  # with start and stop bit
 _BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
 _VALUE_BYTES_MAX: Final = 8
 _SEQ_MAX: Final = 2**32 - 1
+_FAILED: Final = ("config", "device", "decode", "disk", "in_use", "disk_full")
 ERROR_WORDS: Final[dict[ReasonCode, str]] = {
+    **{ReasonCode(code): "FAILED" for code in _FAILED},
     ReasonCode.UNKNOWN_VERB: "VERB",
     ReasonCode.BAD_ARGUMENTS: "ARGS",
     ReasonCode.BAD_CHECKSUM: "CRC",
@@ -37,12 +39,6 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     ReasonCode.TIMEOUT: "TIMEOUT",
     ReasonCode.UNAVAILABLE: "UNAVAILABLE",
     ReasonCode.NOT_CALIBRATED: "UNCALIBRATED",
-    ReasonCode.CONFIG: "FAILED",
-    ReasonCode.DEVICE: "FAILED",
-    ReasonCode.DECODE: "FAILED",
-    ReasonCode.DISK: "FAILED",
-    ReasonCode.IN_USE: "FAILED",
-    ReasonCode.DISK_FULL: "FAILED",
     ReasonCode.FRAME_INVALID: "INVALID",
     ReasonCode.NO_SESSION: "NOSESSION",
     ReasonCode.BAD_NAME: "NAME",

@@ -1,5 +1,5 @@
 """Check one press: does a learned profile, without a refit, see a contact, where, and how large is the ball; and, while
-the indenter is still there, can `calibrate` use the image, and does it differ from the stated values?
+the indenter is still there, can `calibrate` use the image?
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.indenters import ball_along, ball_height_along, known_height
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.calibration.refit import LEAST_CELLS, contact_direction, placed_press
@@ -21,8 +21,7 @@ from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
 from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_rays, skin_points
-from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
@@ -30,12 +29,6 @@ from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 # Radii to try, as multiples of the stated one, which is in the middle; and the floor for a misfit.
 _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
-# Ratios of seen to true sizes are within these on sensors of both families. A larger ball raises a question only if the
-# stated one fits this many times worse; shallower presses (mm on the nominal skin) do not show the radius.
-_BALL_FACTORS, _MISFIT_RATIO, _BALL_DEPTH_MM = (0.7, 2.0), 4.0, 0.8
-# The network finds a place within 1.2 mm on the nominal skin.
-_PLACE_MM = 2.5
-_DEPTH_FACTORS = (0.33, 2.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,26 +142,6 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
     return misfits
 
 
-def question(view: PressView, press: KnownPress, geometry: Geometry) -> str:
-    """A question about the value that differs from the image; empty if none differs by much."""
-    scale = skin_scale(geometry)
-    if not _DEPTH_FACTORS[0] < view.depth_mm / press.depth_mm < _DEPTH_FACTORS[1] and press.depth_mm > 0.5 * scale:
-        return f"looks about {view.depth_mm:.1f} mm deep; is the depth of {press.depth_mm:g} mm right?"
-    smaller = view.ball_factor < _BALL_FACTORS[0]
-    larger = view.ball_factor > _BALL_FACTORS[1] and view.misfit_ratio > _MISFIT_RATIO
-    if press.depth_mm > _BALL_DEPTH_MM * scale and (smaller or larger):
-        shown = f"looks like a ball of {view.ball_factor * press.radius_mm:.0f} mm"
-        asked = f"is {press.radius_mm:g} its diameter?" if smaller else f"is its radius {press.radius_mm:g}?"
-        return f"{shown}; {asked}"
-    if press.x_mm is None or press.y_mm is None:
-        return ""
-    if math.hypot(view.x_mm - press.x_mm, view.y_mm - press.y_mm) <= _PLACE_MM * scale:
-        return ""
-    swapped = math.hypot(view.x_mm - press.y_mm, view.y_mm - press.x_mm) <= _PLACE_MM * scale
-    asked = "are x and y swapped?" if swapped else f"is x {press.x_mm:g}, y {press.y_mm:g} right?"
-    return f"the picture shows it around x {view.x_mm:.0f}, y {view.y_mm:.0f} mm; {asked}"
-
-
 @dataclass(frozen=True, slots=True)
 class Judgement:
     """The judgement on an image of a press; an unusable one leaves the other fields without meaning. `moved` says that
@@ -182,29 +155,18 @@ class Judgement:
 
 
 class PressCheck:
-    """Judges images of one sensor from its calibration without presses; a network of `GRADED_PROFILE` lets it compare a
-    press with its stated values.
+    """Judges images of one sensor from its calibration without presses; a network of `GRADED_PROFILE` also sees light
+    contacts.
     """
 
     def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:
         self.geometry = unloaded.geometry
         self._preprocessor = Preprocessor(unloaded, PROFILE)
-        self._mapper = GreyMapper(self._preprocessor)
         self._gate = ContactGate(self._preprocessor)
         self._judges = plain_judges(unloaded)
         self._viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
         self._disc = unloaded.geometry.disc
         self._reference = camera.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
-
-    def located_mm(self, image: U8, depth_mm: float) -> tuple[float, float]:
-        """The place (x, y) of a pressed ball in mm, as `calibrate` finds it."""
-        press = KnownPress("", image, 1.0, depth_mm, None, None)
-        return observe_press(self._preprocessor, self._mapper, press).place_mm
-
-    def question(self, press: KnownPress) -> str:
-        """A question about the value that differs from the image; empty without a network."""
-        view = self._viewer.view(press) if self._viewer else None
-        return question(view, press, self.geometry) if view else ""
 
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""
