@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import shutil
-import signal
 import stat
 import subprocess
 import sys
@@ -18,27 +16,34 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
-from support.handed_in import PAINTED
 from support.vivid import NODE, control, unload_driver
 
+from tacshade_edge.doctor.camera import capture, check_frames
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.factories import sources
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import V4l2
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import patience, stretched, wait_until
 
-pytestmark = [pytest.mark.systemd, pytest.mark.slow]
-
 TREE = Path(__file__).resolve().parents[2]
+GIVEN = TREE / ".rig/given"
+"""By tools/ci/run_guest.py: images.npy (N, 480, 640), calibration.npz, depth_mm that the core finds."""
 APP = Path("/opt/tacshade-edge")
 STATE = Path("/var/lib/tacshade-edge")
 GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
 # The name that 99-tacshade.rules gives to the driver's camera.
 CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
-GOOD = f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
-WATCHDOG_S, MEMORY_MAX = 10.0, 150 * 2**20
+SOURCE = V4l2(device=str(CAMERA), width_px=640, height_px=480, fps=25, fourcc="YUYV")
+GOOD = (
+    f"profile: fast\nsource: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+)
+MEMORY_MAX = 150 * 2**20
 START_S = 10
 STOP_S = 2.0
-STOPS = int(os.environ.get("TACSHADE_STOPS", "1"))
 # What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's. How long a
 # stop may take is as shipped: the daemon asks for more where it needs it.
 DROP_IN = "[Service]\nTimeoutStartSec={start_s:.0f}\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"
@@ -50,11 +55,10 @@ def installed() -> None:
     assert sh("env", "DESTDIR=/", str(TREE / "systemd/install.sh"))[0] == 0
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
     site = APP / "lib" / python / "site-packages"
-    site.mkdir(parents=True)
-    shutil.copytree(TREE / "tacshade_edge", site / "tacshade_edge")
-    for name, origin in (("python", sys.base_prefix), ("site-packages", sysconfig.get_path("purelib"))):
-        Path("/opt", name).mkdir()
-        assert sh("mount", "--bind", origin, f"/opt/{name}")[0] == 0
+    binds = {site / "tacshade_edge": str(TREE / "tacshade_edge"), Path("/opt/python"): sys.base_prefix}
+    for path, origin in (binds | {Path("/opt/site-packages"): sysconfig.get_path("purelib")}).items():
+        path.mkdir(parents=True)
+        assert sh("mount", "--bind", origin, str(path))[0] == 0
     (site / "dependencies.pth").write_text("/opt/site-packages\n")
     (APP / "bin").mkdir()
     (APP / "bin/python").symlink_to(f"/opt/python/bin/{python}")
@@ -68,7 +72,7 @@ def installed() -> None:
     assert sh("systemd-sysusers", "/usr/local/lib/sysusers.d/tacshade-edge.conf")[0] == 0
     assert sh("chgrp", "-R", "tacshade-edge", str(CONFIG.parent))[0] == 0
     STATE.mkdir()
-    shutil.copy(PAINTED / "calibration.npz", STATE)
+    shutil.copy(GIVEN / "calibration.npz", STATE)
     for path in (STATE, STATE / "calibration.npz"):
         shutil.chown(path, "tacshade-edge", "tacshade-edge")
     for command in (("daemon-reload",), ("start", "mosquitto")):  # with Debian's unit and our drop-in
@@ -80,7 +84,7 @@ def installed() -> None:
 def plugged_in() -> Iterator[None]:
     """A camera that shows the sensor's images; udev tells of it once it is set up, which takes the only user."""
     sh("udevadm", "control", "--stop-exec-queue")
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(PAINTED / "images.npy")]
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "--rate", "5", str(GIVEN / "images.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         try:
@@ -95,18 +99,6 @@ def in_status(text: str, seconds: float) -> dict[str, str]:
     """The service's properties once its status says so."""
     now = until(lambda now: text in now["StatusText"], seconds)
     assert text in now["StatusText"], (now, journal())
-    return now
-
-
-def outlives_the_watchdog() -> dict[str, str]:
-    """The service's properties once it has fed the watchdog for longer than that waits."""
-
-    def fed_s(now: dict[str, str]) -> float:
-        return int(now["WatchdogTimestampMonotonic"]) / 1e6
-
-    least_s = fed_s(show()) + 1.2 * WATCHDOG_S
-    now = until(lambda now: fed_s(now) > least_s, 3 * WATCHDOG_S)
-    assert fed_s(now) > least_s, journal()
     return now
 
 
@@ -131,22 +123,27 @@ def test_the_life_of_a_plugged_in_camera() -> None:
         )
         streams_unprivileged(before)
         memory_is_counted_and_bounded()
+        doctor_leaves_it_the_camera()
         a_stalled_camera_is_left_alone()
-        a_bad_file_changes_nothing()
-        too_much_memory_ends_it_and_it_comes_back()
     unplugged_it_waits()
     with plugged_in():
-        for number in range(STOPS):
-            if number:
-                assert sh("systemctl", "start", UNIT)[0] == 0, journal()
-            now = until(streaming, START_S)
-            assert streaming(now), journal()
-            a_clean_stop(random.Random(number).randrange(50))
+        now = until(streaming, START_S)
+        assert streaming(now), journal()
+        a_clean_stop()
 
 
 def streams_unprivileged(before: dict[str, str]) -> None:
-    with Subscriber(1883) as seen:
-        seen.wait_for("tacshade/tacshade/height", 5, START_S)
+    """A subscriber decodes the depth that the core finds in the very image, and none where the skin is free."""
+    depth_mm = float((GIVEN / "depth_mm").read_text())
+    with Subscriber(1883, "tacshade/tacshade/height") as seen:
+
+        def found() -> bool:
+            new = [seen.messages.pop(0).payload for _ in range(len(seen.messages))]
+            depths_mm.extend(float(np.nanmax(wire.decode(data).height_mm)) for data in new)  # type: ignore[union-attr]
+            return 0 in depths_mm and any(abs(each - depth_mm) < 0.001 for each in depths_mm)
+
+        depths_mm: list[float] = []
+        wait_until(found, START_S, f"0 and {depth_mm} mm, got {depths_mm}")
     now = in_status("streaming, ", 20)
     assert now["MainPID"] == before["MainPID"], journal()  # plugging in takes no restart
     who = process(now["MainPID"])
@@ -158,44 +155,29 @@ def streams_unprivileged(before: dict[str, str]) -> None:
 def memory_is_counted_and_bounded() -> None:
     assert int((GROUP / "memory.max").read_text()) == MEMORY_MAX
     assert (GROUP / "memory.swap.max").read_text().strip() == "0"
-    counted, who = int(show()["MemoryCurrent"]), process(show()["MainPID"])
+    now = show()
+    counted, resident = int(now["MemoryCurrent"]), process(now["MainPID"])["VmRSS"]
+    print(f"MemoryCurrent {counted / 2**20:.0f} MB, VmRSS {resident}")
     assert 20 * 2**20 < counted < MEMORY_MAX
-    kinds = dict(line.split() for line in (GROUP / "memory.stat").read_text().splitlines())
-    told = {name: round(int(kinds[name]) / 2**20) for name in ("anon", "file", "kernel_stack", "sock")}
-    print(f"MemoryCurrent {counted / 2**20:.0f} MB ({told}), VmRSS {int(who['VmRSS'].split()[0]) / 1024:.0f} MB")
+
+
+def doctor_leaves_it_the_camera() -> None:
+    machine, pid = Machine(), int(show()["MainPID"])
+    found = machine.daemon()
+    assert found is not None
+    assert [held.pid for held in machine.holders(str(CAMERA))] == [found.pid] == [pid]
+    (finding,) = check_frames(SOURCE, capture(sources.make_source(SOURCE)), machine, "online, 25.0 frames/s")
+    assert finding.state == "warning"
+    assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"
 
 
 def a_stalled_camera_is_left_alone() -> None:
     before = show()
     control("percentage_of_dropped_buffers=100")
     in_status("the camera has stalled", 20)
-    now = outlives_the_watchdog()  # only feeding it does that
-    assert (now["MainPID"], now["NRestarts"]) == (before["MainPID"], before["NRestarts"])
     control("percentage_of_dropped_buffers=0")
-    in_status("streaming, ", 20)
-
-
-def a_bad_file_changes_nothing() -> None:
-    before = show()
-    CONFIG.write_text("profile: slow\n" + GOOD)
-    os.kill(int(before["MainPID"]), signal.SIGHUP)
-    in_status("rejected the reload", 20)
-    CONFIG.write_text(GOOD)
     now = in_status("streaming, ", 20)
-    assert now["MainPID"] == before["MainPID"]
-
-
-def too_much_memory_ends_it_and_it_comes_back() -> None:
-    """The same as kill -9, by the kernel and for the limit that the unit sets, lowered below what it takes."""
-    before = show()
-    sh("systemctl", "set-property", "--runtime", UNIT, "MemoryMax=30M")
-    now = until(lambda now: now["NRestarts"] != before["NRestarts"], 30)
-    sh("systemctl", "set-property", "--runtime", UNIT, f"MemoryMax={MEMORY_MAX}")
-    assert now["NRestarts"] != before["NRestarts"]
-    assert "oom-kill" in journal()
-    now = until(streaming, START_S)
-    assert streaming(now), journal()
-    assert now["MainPID"] != before["MainPID"]
+    assert (now["MainPID"], now["NRestarts"]) == (before["MainPID"], before["NRestarts"])
 
 
 def unplugged_it_waits() -> None:
@@ -207,23 +189,19 @@ def unplugged_it_waits() -> None:
     os.close(keeper)
     unload_driver()
     wait_until(lambda: not CAMERA.is_symlink(), 10, "udev takes the name away")
-    outlives_the_watchdog()
     now = in_status("away", 1)
     assert (now["ActiveState"], now["MainPID"], now["NRestarts"]) == ("active", before["MainPID"], before["NRestarts"])
 
 
-def a_clean_stop(after_frames: int) -> None:
-    """At some moment, while all cores are busy: it says goodbye, and its end is what it said."""
-    with Subscriber(1883) as seen, contextlib.ExitStack() as busy:
-        for _ in range(os.cpu_count() or 1):
-            burner = busy.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
-            busy.callback(burner.kill)
-        seen.wait_for("tacshade/tacshade/height", after_frames, 20)
+def a_clean_stop() -> None:
+    """It says goodbye, and its end is what it said."""
+    with Subscriber(1883) as seen:
+        seen.wait_for("tacshade/tacshade/height", 1, 20)
         limit_s = stretched(STOP_S)
         began_s = time.monotonic()
         assert sh("systemctl", "stop", UNIT)[0] == 0
         took_s = time.monotonic() - began_s
-        wait_until(lambda: seen.of("tacshade/tacshade/state")[-1:] == [b"stopped"], 5, "it says goodbye")
+        seen.wait_for_last("tacshade/tacshade/state", b"stopped")
     now = show()
     assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0"), journal()
     print(f"stopped within {took_s:.1f} s, emulated, of {limit_s:.1f} s allowed")

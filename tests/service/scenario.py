@@ -1,11 +1,13 @@
 #!/usr/bin/python3
-"""Runs as root under a booted systemd (tools/rig/boot_systemd.sh): uses the service as a person would, prints JSON.
+"""Runs as root under a booted systemd without a network (tools/rig/boot_systemd.sh): uses the service as people would.
 
-Only what was seen is printed; test_boot.py judges. Standard library only.
+It is installed from a clone, and then, where there are packages, by apt. Only what was seen is written; test_boot.py
+judges. Standard library only.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import signal
@@ -29,10 +31,12 @@ from support.booted_service import (
     until,
 )
 
-GOOD = "source: {kind: simulated, fps: 5}\n"
+GOOD = "# mine\nsource: {kind: simulated, fps: 5}\n"
 WATCHDOG_S = 10.0
+STATE = Path("/var/lib/tacshade-edge")
 INSTALL = "/payload/checkout/systemd/install.sh"
-# What install.sh may leave behind nothing of.
+OLDER, NEWER = Path("/payload/older.deb"), Path("/payload/newer.deb")
+# What neither installation may leave behind.
 PLACES = (
     "/opt",
     "/usr/local/lib/systemd",
@@ -40,12 +44,21 @@ PLACES = (
     "/etc/udev/rules.d",
     "/etc/mosquitto",
     "/etc/tacshade-edge",
+    "/etc/systemd/system",
+    "/usr/lib/udev/rules.d",
+    "/usr/bin",
 )
 
 
 def files() -> list[str]:
     found = (path for place in PLACES for path in Path(place).rglob("*") if path.is_file() or path.is_symlink())
-    return sorted(str(path) for path in found if not str(path).startswith("/opt/python/"))
+    named = (str(path) for path in (*found, *Path("/usr/lib").glob("s*/**/tacshade-edge*")))
+    return sorted(name for name in named if not name.startswith("/opt/python/"))
+
+
+def calibration() -> dict[str, str]:
+    """Every one in the service's own folder."""
+    return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in STATE.rglob("*.npz")}
 
 
 def install_sh(*words: str) -> tuple[int, str]:
@@ -53,35 +66,27 @@ def install_sh(*words: str) -> tuple[int, str]:
     return sh(INSTALL, *words, PYTHON=f"/opt/python/bin/{sys.argv[1]}", PIP_NO_INDEX="1", PIP_FIND_LINKS="/wheels")
 
 
-def install() -> dict[str, Any]:
+def apt(*words: str) -> tuple[int, str]:
+    options = ("--no-install-recommends", "-o", "Dpkg::Options::=--force-confold")
+    return sh("apt-get", "-qq", *options, *words, DEBIAN_FRONTEND="noninteractive")
+
+
+def installed(unit: str) -> dict[str, Any]:
+    """What systemd makes of the installation, and whose the settings are."""
+    config = CONFIG.stat()
+    whose = config.st_uid, sh("id", "-g", "tacshade-edge")[1] == str(config.st_gid), oct(CONFIG.parent.stat().st_mode)
+    verify, enabled = sh("systemd-analyze", "verify", unit), sh("systemctl", "is-enabled", UNIT)
+    return {"verify": verify, "enabled": enabled, "access": whose, "owner": STATE.owner()}
+
+
+def installs() -> dict[str, Any]:
     # A Python below /root names its library there, where the unit must not look.
     Path("/etc/ld.so.conf.d/00-python.conf").write_text("/opt/python/lib\n")
     sh("ldconfig")
     before = files()
-    first = install_sh()
-    sh("install", "-o", "tacshade-edge", "/payload/calibration.npz", "/var/lib/tacshade-edge/")
-    verify = sh("systemd-analyze", "verify", f"/usr/local/lib/systemd/system/{UNIT}")
-    enabled = sh("systemctl", "is-enabled", UNIT)
-    config = CONFIG.stat()
-    access = (
-        config.st_uid,
-        sh("id", "-g", "tacshade-edge")[1] == str(config.st_gid),
-        oct(CONFIG.parent.stat().st_mode),
-    )
-    return {"before": before, "first": first, "enabled": enabled, "verify": verify, "access": access}
-
-
-def uninstalls() -> dict[str, Any]:
-    """While it runs; then once more."""
-    shutil.copy("/payload/checkout/config/default.yaml", CONFIG)
-    running = fresh(CONFIG.read_text().replace("kind: v4l2", "kind: v4l2 # mine"))
-    shutil.copy("/payload/checkout/config/default.yaml", CONFIG)
-    done = install_sh("--uninstall")
-    again = install_sh("--uninstall")
-    enabled = sh("systemctl", "is-enabled", UNIT)
-    calibration = Path("/var/lib/tacshade-edge/calibration.npz").exists()
-    left = {"files": files(), "enabled": enabled, "calibration": calibration}
-    return {"running": running, "done": done, "again": again, "now": show(), **left}
+    done = install_sh()
+    sh("install", "-o", "tacshade-edge", "/payload/calibration.npz", str(STATE))
+    return {"before": before, "done": done, **installed(f"/usr/local/lib/systemd/system/{UNIT}")}
 
 
 def starts() -> dict[str, Any]:
@@ -104,12 +109,11 @@ def reloads() -> dict[str, Any]:
     before = show()
     CONFIG.write_text("profile: slow\n" + GOOD)
     bad = sh("systemctl", "reload", UNIT)
-    refused = until(lambda now: "rejected" in now["StatusText"], 10)
     still = until(lambda now: streaming(now) and "rejected" in now["StatusText"], 10)
     CONFIG.write_text(GOOD)
     sh("systemctl", "reload", UNIT)
     good = until(lambda now: streaming(now) and "rejected" not in now["StatusText"], 10)
-    return {"before": before, "bad": bad, "refused": refused, "still": still, "good": good}
+    return {"before": before, "bad": bad, "still": still, "good": good}
 
 
 def hangs() -> dict[str, Any]:
@@ -121,18 +125,10 @@ def hangs() -> dict[str, Any]:
     began = time.monotonic()
     with frozen(last):
         without = until(lambda now: now["StatusText"] == "streaming, 0.0 frames/s", 8)
-        killed = until(lambda now: now["NRestarts"] != before["NRestarts"], 30)
+        until(lambda now: now["NRestarts"] != before["NRestarts"], 30)
     after = until(streaming, 20)
-    seen = {"before": before, "without": without, "killed": killed, "after": after, "journal": journal()}
+    seen = {"before": before, "without": without, "after": after, "journal": journal()}
     return {"seconds": time.monotonic() - began, **seen}
-
-
-def works_a_while() -> dict[str, Any]:
-    """Longer than the watchdog's time, so that only its feeding keeps it."""
-    before = show()
-    time.sleep(1.2 * WATCHDOG_S)
-    now = show()
-    return {"before": before, "now": now, "process": process(now["MainPID"])}
 
 
 def stops() -> dict[str, Any]:
@@ -142,6 +138,7 @@ def stops() -> dict[str, Any]:
 
 
 def camera_is_absent() -> dict[str, Any]:
+    """For longer than the watchdog's time, so that only its feeding keeps it."""
     code = fresh("source: {kind: v4l2, device: /dev/video99}\n")
     before = show()
     time.sleep(1.2 * WATCHDOG_S)
@@ -155,11 +152,61 @@ def configuration_is_bad() -> dict[str, Any]:
     return {"code": code, "failed": failed, "later": show()}
 
 
+def package_is_refused() -> dict[str, Any]:
+    return {"done": apt("install", str(OLDER))}
+
+
+def uninstalls() -> dict[str, Any]:
+    """While it runs; then once more."""
+    default = Path("/payload/checkout/config/default.yaml")
+    running = fresh(default.read_text().replace("kind: v4l2", "kind: v4l2 # mine"))
+    shutil.copy(default, CONFIG)
+    done = install_sh("--uninstall")
+    again = install_sh("--uninstall")
+    enabled = sh("systemctl", "is-enabled", UNIT)
+    left = {"files": files(), "enabled": enabled, "calibration": calibration()}
+    return {"running": running, "done": done, "again": again, "now": show(), **left}
+
+
+def package_installs() -> dict[str, Any]:
+    done = apt("install", str(OLDER))
+    version = sh("tacshade-edge", "--version")
+    return {"done": done, "now": show(), "version": version, **installed(f"/usr/lib/systemd/system/{UNIT}")}
+
+
+def package_upgrades() -> dict[str, Any]:
+    """Over the running service, to a package with other default settings."""
+    fresh(GOOD)
+    before = until(streaming, 20)
+    done = apt("install", str(NEWER))
+    now = until(streaming, 20)
+    proposed = Path(f"{CONFIG}.dpkg-dist").exists()
+    seen = {"before": before, "done": done, "now": now, "config": CONFIG.read_text(), "proposed": proposed}
+    seen |= {"changed": sh("dpkg", "--verify", "tacshade-edge")[1], "version": sh("tacshade-edge", "--version")}
+    return {**seen, "calibration": calibration(), "dropped": [path for path in files() if path.endswith("/dropped.py")]}
+
+
+def clone_is_refused() -> dict[str, Any]:
+    return {"done": sh(INSTALL)}
+
+
+def package_is_removed() -> dict[str, Any]:
+    """While it runs."""
+    done = apt("remove", "tacshade-edge")
+    left = [path for path in files() if "tacshade" in path]
+    return {"done": done, "now": show(), "left": left, "config": CONFIG.read_text(), "calibration": calibration()}
+
+
+def package_is_purged() -> dict[str, Any]:
+    done = apt("purge", "tacshade-edge")
+    left = {"files": files(), "etc": CONFIG.parent.exists(), "calibration": calibration()}
+    return {"done": done, **left, "user": sh("id", "-un", "tacshade-edge")}
+
+
 def main() -> None:
-    tell(
-        *(install, starts, killed, reloads, works_a_while, hangs, stops),
-        *(camera_is_absent, configuration_is_bad, uninstalls),
-    )
+    clone = (installs, starts, killed, reloads, hangs, stops, camera_is_absent, configuration_is_bad)
+    package = (package_installs, package_upgrades, clone_is_refused, package_is_removed, package_is_purged)
+    tell(*clone, *((package_is_refused, uninstalls, *package) if OLDER.exists() else (uninstalls,)))
 
 
 if __name__ == "__main__":

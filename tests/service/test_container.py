@@ -20,7 +20,7 @@ from tools.release.version import version
 from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 TREE = Path(__file__).parents[2]
-GUEST = [sys.executable, "-m", "tools.rig.guest"]
+GUEST, CANNOT = [sys.executable, "-m", "tools.rig.guest"], 77
 BASES = {(3, 11): "bookworm", (3, 13): "trixie"}
 MEMORY_MAX = 150 * 2**20
 
@@ -84,12 +84,13 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def seen(built: Path) -> dict[str, Any]:
-    check = subprocess.run([*GUEST, "--systemd", "--check"], capture_output=True, text=True, check=False)
-    if check.returncode:
-        pytest.skip(f"no guest with a camera: {check.stderr.strip()}")
     out = built / "out"
     scenario = (sys.executable, "tests/service/scenario_container.py", str(built))
-    print(done(*GUEST, "--systemd", "--out", out, "env", f"PYTHONPATH={TREE}/tests:{TREE}", *scenario))
+    guest = [*GUEST, "--out", str(out), "env", f"PYTHONPATH={TREE}/tests:{TREE}", *scenario]
+    found = subprocess.run(guest, cwd=TREE, capture_output=True, text=True, check=False)
+    if found.returncode == CANNOT:
+        pytest.skip(f"no guest with a camera: {found.stderr.strip()}")
+    assert found.returncode == 0, (found.stdout[-2000:], found.stderr[-2000:])
     result: dict[str, Any] = json.loads((out / "seen.json").read_text())
     return result
 

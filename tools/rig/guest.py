@@ -3,13 +3,13 @@
 
 ::
 
-    python3 -m tools.rig.guest [--systemd] [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
+    python3 -m tools.rig.guest [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
 
 The guest sees this machine's files at the same paths, read-only (9p). Its writes go to memory and are lost, except
-below ``/out``, which is DIR on this machine. COMMAND runs in the tree's folder, and this program passes on its output
-and exit status. With --systemd, COMMAND runs after systemd and udev have started, as on any machine. Exit status 77
-means that the guest cannot run here (one line says why). 125 means that it did not finish: it gave no sign of life for
---silent seconds (normally one each second), or ended without an exit status. This program uses only the standard
+below ``/out``, which is DIR on this machine. COMMAND runs in the tree's folder once systemd and udev have started, and
+this program passes on its output and exit status. Exit status 77 means that the guest cannot run here (one line says
+why). 125 means that it did not finish in two attempts (the emulator itself hangs now and then): it gave no sign of life
+for --silent seconds (normally one each second), or ended without an exit status. This program uses only the standard
 library, so that it can report what is missing.
 """
 
@@ -44,22 +44,24 @@ PROGRAMS = {  # each program that we call, and its Debian package
     "v4l2-ctl": "v4l-utils",
     "apt-get": "apt",
     "dpkg": "dpkg",
+    "/lib/systemd/systemd": "systemd",
+    "udevadm": "udev",
+    "dbus-daemon": "dbus",
 }
-SYSTEMD_PROGRAMS = {"/lib/systemd/systemd": "systemd", "udevadm": "udev", "dbus-daemon": "dbus"}
 EXIT_CANNOT, EXIT_UNFINISHED = 77, 125
+ATTEMPTS = 2
 
 
 class CannotRunError(Exception):
     """The guest cannot run on this machine; the message's one line says why."""
 
 
-def check(systemd: bool) -> None:
+def check() -> None:
     """Raise CannotRunError if a program that the guest needs is missing."""
     if platform.machine() != "x86_64":
         raise CannotRunError(f"the guest needs an x86-64 machine, this one is {platform.machine()}")
     os.environ["PATH"] += ":/usr/sbin:/sbin"  # for kmod's programs, if the user is not root
-    programs = PROGRAMS | (SYSTEMD_PROGRAMS if systemd else {})
-    missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
+    missing = sorted({package for program, package in PROGRAMS.items() if not shutil.which(program)})
     if missing:
         raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs them)")
 
@@ -90,7 +92,7 @@ def kernel() -> tuple[Path, str]:
     return final, version
 
 
-def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
+def initramfs(out: Path, root: Path, version: str) -> None:
     """Write ``out/.initrd``: busybox and the modules that reach the 9p root."""
     with tempfile.TemporaryDirectory() as scratch:
         top = Path(scratch)
@@ -102,11 +104,9 @@ def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
             if module.suffix == ".xz":
                 content = lzma.decompress(content)
             (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
+        shutil.copy(HERE / "systemd_root.sh", top)
         text = (HERE / "init.sh").read_text()
-        text = text.replace("@MODULES@", f"{root}/lib/modules/{version}")
-        if systemd:
-            shutil.copy(HERE / "systemd_root.sh", top)
-        (top / "init").write_text(text.replace("@SYSTEMD@", "yes" if systemd else ""))
+        (top / "init").write_text(text.replace("@MODULES@", f"{root}/lib/modules/{version}"))
         (top / "init").chmod(0o755)
         names = "\n".join(str(path.relative_to(top)) for path in sorted(top.rglob("*")))
         with (out / ".initrd").open("wb") as archive:
@@ -125,17 +125,17 @@ def _modules(root: Path, version: str) -> list[Path]:
     return list(files)
 
 
-def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
+def run(command: list[str], out: Path, silent_s: float) -> int:
     """Boot the guest, run the command, and return its exit status."""
     root, version = kernel()
-    initramfs(out, root, version, systemd)
+    initramfs(out, root, version)
     (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
     status = out / ".status"
     status.unlink(missing_ok=True)
     alive, began_s = (out / ".alive", out / ".console"), time.time()
     for sign in alive:
         sign.unlink(missing_ok=True)
-    with subprocess.Popen(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL) as emulator:
+    with subprocess.Popen(_qemu(root, version, out), stdin=subprocess.DEVNULL) as emulator:
         while emulator.poll() is None:
             latest_s = max([began_s, *(sign.stat().st_mtime for sign in alive if sign.exists())])
             if time.time() - latest_s > silent_s:
@@ -151,16 +151,16 @@ def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
     return int(status.read_text())
 
 
-def _qemu(root: Path, version: str, out: Path, systemd: bool) -> list[str]:
+def _qemu(root: Path, version: str, out: Path) -> list[str]:
     """Make QEMU's command, without hardware virtualisation: not every machine has it, and it changes the timing."""
-    more = " systemd.unit=scenario.target systemd.show_status=0" if systemd else ""
+    systemd = "systemd.unit=scenario.target systemd.show_status=0"
     share = "security_model=none,multidevs=remap"
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
         *("-cpu", "max,-avx,-avx2,-fma"),  # emulating these takes ten times as long
         *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
-        *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()}" + more),
+        *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()} {systemd}"),
         *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
         *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
         *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
@@ -199,22 +199,21 @@ def main() -> int:
     parser.add_argument(
         "--silent", type=float, default=120.0, metavar="SECONDS", help="give up after no sign of life for so long (120)"
     )
-    parser.add_argument("--systemd", action="store_true", help="boot systemd and udev first")
-    parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
     try:
-        check(args.systemd)
-        if args.check:
-            kernel()
-            return 0
+        check()
         if not args.command:
             parser.error("COMMAND is missing")
         if args.out is None:
             args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
             print(f"guest: /out is {args.out}", file=sys.stderr)
         args.out.mkdir(parents=True, exist_ok=True)
-        return run(args.command, args.out.resolve(), args.silent, args.systemd)
+        status = EXIT_UNFINISHED
+        for _ in range(ATTEMPTS):
+            if status == EXIT_UNFINISHED:
+                status = run(args.command, args.out.resolve(), args.silent)
+        return status
     except CannotRunError as error:
         print(f"guest: {error}", file=sys.stderr)
         return EXIT_CANNOT
