@@ -6,9 +6,6 @@ may not. The speed is that of the interpreter, which is what most of a wait is: 
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -37,13 +34,6 @@ def slowness() -> float:
         _unit()
         units += 1
     return max(1.0, took_s / units / UNIT_S)
-
-
-def slowness_of_all_cores() -> float:
-    """`slowness` while every core is busy: only this reveals a quota for all of them."""
-    command = [sys.executable, "-m", "tools.testbed.patience", "--slowness"]
-    looks = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(os.cpu_count() or 1)]
-    return sum(float(look.communicate()[0]) for look in looks) / len(looks)
 
 
 @cache
@@ -90,8 +80,6 @@ def promised(condition: Callable[[], object], seconds: float, what: str) -> None
     wait_until(condition, seconds, what, margin=1.0)
 
 
-if __name__ == "__main__" and "--slowness" in sys.argv:
-    print(slowness())
-elif __name__ == "__main__":
+if __name__ == "__main__":
     looks = sorted(slowness() * UNIT_S for _ in range(9))
     print(f"a unit takes {1e3 * looks[4]:.2f} ms here ({1e3 * looks[0]:.2f} to {1e3 * looks[-1]:.2f})")
