@@ -21,6 +21,11 @@ settings.register_profile(
 settings.load_profile("tacshade")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with those that wait longest, so that no worker has them left when the others are done."""
+    items.sort(key=lambda item: "service" not in item.path.parts)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Where the workers of this run leave what they made for each other; one process alone needs none."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.vivid import unload_driver
+from support.vivid import UDEV, unload_driver
 
 from tools.testbed.patience import patience
 
@@ -29,10 +29,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip("needs a guest: python -m tools.ci.run_guest"))
 
 
-@pytest.fixture(autouse=True, scope="package")
-def udev_waits() -> None:
-    """It would open each camera that is plugged in; test_service.py lets it, and is the last."""
-    subprocess.run(["udevadm", "control", "--stop-exec-queue"], check=True)
+@pytest.fixture(autouse=True, scope="session")
+def no_udev() -> None:
+    """It would open each camera that is plugged in; test_service.py, the last, starts it again."""
+    subprocess.run(["systemctl", "stop", *UDEV], check=True)
 
 
 @pytest.fixture(autouse=True)

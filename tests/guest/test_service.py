@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
-from support.vivid import NODE, control, unload_driver
+from support.vivid import NODE, UDEV, control, unload_driver
 
 from tacshade_edge.doctor.camera import capture, check_frames
 from tacshade_edge.doctor.machine import Machine
@@ -77,7 +77,7 @@ def installed() -> None:
         shutil.chown(path, "tacshade-edge", "tacshade-edge")
     for command in (("daemon-reload",), ("start", "mosquitto")):  # with Debian's unit and our drop-in
         assert sh("systemctl", *command)[0] == 0, sh("journalctl", "--no-pager", "-n", "50")[1]
-    sh("udevadm", "control", "--reload")
+    assert sh("systemctl", "start", *UDEV)[0] == 0
 
 
 @contextlib.contextmanager

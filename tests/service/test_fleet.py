@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import ssl
-import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,10 +11,16 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt.client import MQTTMessage
-from support.fleet import FILES, CentralClient, ConfiguredBroker, board, central, people_port
+from support.fleet import CentralClient, ConfiguredBroker, board, central, people_port
 
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import patience, wait_until
+
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.slow,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 
 
 @dataclass
@@ -51,9 +55,6 @@ def two(tmp_path: Path) -> Iterator[Two]:
         yield made
 
 
-@pytest.mark.broker
-@pytest.mark.slow
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_summaries_go_up_frames_do_not_and_no_board_writes_as_another(two: Two) -> None:
     left = two.at["left"]
     sent = ("state", "info", "status/camera", "event/slip", "map/revision", "contact", "touch", "health")
@@ -81,9 +82,6 @@ def test_summaries_go_up_frames_do_not_and_no_board_writes_as_another(two: Two) 
         stranger.recv(1)
 
 
-@pytest.mark.broker
-@pytest.mark.slow
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_events_outlast_a_central_broker_that_stalls_and_one_that_forgets_everything(two: Two) -> None:
     left = two.at["left"]
     left.publish("tacshade/left/state", b"online", retain=True)
@@ -107,20 +105,3 @@ def test_events_outlast_a_central_broker_that_stalls_and_one_that_forgets_everyt
     two.heard.clear()
     two.central.start()
     two.wait_for("tacshade/left/state", b"online")  # the board retains it, and sends it to a broker that knows nothing
-
-
-@pytest.mark.skipif(shutil.which("rclone") is None, reason="rclone is not installed")
-def test_finished_recordings_are_copied_once_and_never_changed(tmp_path: Path) -> None:
-    """The command of the unit, with rclone's backend of a folder as the store."""
-    recordings, store = tmp_path / "recordings", tmp_path / "store"
-    for name, text in (("a/recording.json", "{}"), ("a/000.mcap", "frames"), ("b/000.mcap.part", "growing")):
-        (recordings / name).parent.mkdir(parents=True, exist_ok=True)
-        (recordings / name).write_text(text)
-    (line,) = [x for x in (FILES / "tacshade-recordings.service").read_text().splitlines() if x.startswith("ExecStart")]
-    words = line.removeprefix("ExecStart=").replace("/var/lib/tacshade-edge/recordings", str(recordings))
-    command = [*words.replace("store:recordings/%H", f"{store}/left").split(), "--config", str(tmp_path / "none")]
-    subprocess.run(command, check=True, capture_output=True)
-    assert {str(p.relative_to(store)) for p in store.rglob("*.*")} == {"left/a/recording.json", "left/a/000.mcap"}
-    (recordings / "a/000.mcap").write_text("other")
-    assert subprocess.run(command, check=False, capture_output=True).returncode != 0
-    assert (store / "left/a/000.mcap").read_text() == "frames"

@@ -7,6 +7,7 @@ import subprocess
 from tools.testbed.patience import slowness, wait_until
 
 NODE = "/dev/video0"
+UDEV = ("systemd-udevd-control.socket", "systemd-udevd-kernel.socket", "systemd-udevd.service")
 WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")
 FPS = 25
 """What the driver gives at 640x480 when asked for more; it also has the lower ones of `kept_fps`."""
