@@ -79,7 +79,7 @@ def ramp(axis: int) -> Maker:
 
 EXTREME_IMAGES: dict[str, Maker] = {
     **{f"constant {level}": constant(level) for level in (0, 1, 12, 127, 128, 254, 255)},
-    **{f"checkerboard {period} px": checkerboard(period) for period in (*range(2, 33), 48, 64, 96, 128)},
+    **{f"checkerboard {period} px": checkerboard(period) for period in (2, 3, 4, 5, 7, 8, 11, 16, 23, 32, 64, 128)},
     **{f"faint checkerboard {period} px": checkerboard(period, 120, 136) for period in (2, 3, 8, 17, 32)},
     **{f"stripes {period} px, axis {axis}": stripes(period, axis) for period in (2, 5, 8, 16) for axis in (0, 1)},
     "white spike": spike(255, 0),

@@ -26,6 +26,8 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calib
 TREE = Path(__file__).resolve().parents[2]
 GIVEN, OUT = TREE / ".rig/given", TREE / ".rig/out"
 PROFILE = "fast"
+SILENT_S = 300
+"""It boots beside all other tests."""
 # Without plugins that take half a minute to import there.
 PYTEST = ("pytest", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:hypothesispytest", "--tb=native")
 
@@ -46,7 +48,7 @@ def main() -> int:
     shutil.rmtree(OUT, ignore_errors=True)
     chosen = sys.argv[1:] or ["tests/guest"]
     inside = [sys.executable, "-m", *PYTEST, "--confcutdir=tests/guest", "--junitxml=/out/results.xml", *chosen]
-    guest = [sys.executable, "-m", "tools.rig.guest", "--out", str(OUT), *inside]
+    guest = [sys.executable, "-m", "tools.rig.guest", "--silent", f"{SILENT_S}", "--out", str(OUT), *inside]
     return subprocess.run(guest, cwd=TREE, check=False).returncode
 
 
