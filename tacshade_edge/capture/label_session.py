@@ -217,16 +217,10 @@ class LabelSession:
         return offset
 
     def _end(self) -> None:
-        """Print the scale's tare, drift and clock offset. Raises DeviceError if the offset cannot be found."""
+        """Print the scale's tare and clock offset. Raises DeviceError if the offset cannot be found."""
         if self._scale is None:
             return
-        self._live.ask("Make sure that nothing touches the skin or loads the scale; Enter measures the drift.")
-        since_s = time.monotonic()
-        self._live.frames(STILL_FRAMES, _REST_S)
-        self._scale.check()
-        after_n, spread_n = self._scale.median_n(since_s)
-        drift = "not measured" if math.isnan(after_n) else f"{after_n - self._tare_n:+.4f} N, spread {spread_n:.4f} N"
-        self._terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N; drift since then: {drift}")
+        self._terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N")
         offset = self._offset()
         self._folder.write(self._with_force())
         if offset is None:

@@ -90,7 +90,7 @@ class Terminal:
 # The picture counts as still after `STILL_S` without motion, judged from as many frames as motion at rest is.
 STILL_S, STILL_FRAMES = 0.8, 10
 _LEAST_FRAMES = 5  # if a slow camera delivers fewer in `STILL_S`, a longer time is compared
-_RATE_FRAMES = 64
+_PAST_FRAMES = 64
 _FIGURES_S, _PICTURE_S = 0.5, 0.2
 # Finding the circle takes up to a second on a small board.
 _PATTERN_S = 4.0
@@ -108,9 +108,8 @@ def rest_grey_of(blocks: Sequence[F32]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Past:
-    """The parts of a past frame that motion and rate need."""
+    """The parts of a past frame that motion needs."""
 
-    seq: int
     t_ns: int
     blocks: F32
 
@@ -132,7 +131,7 @@ class Live:
         self._source = source
         self._terminal = terminal
         self._page = page
-        self._past: deque[_Past] = deque(maxlen=_RATE_FRAMES)
+        self._past: deque[_Past] = deque(maxlen=_PAST_FRAMES)
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
         self._looking = False  # whether the person may be adjusting lens and circle
@@ -211,7 +210,7 @@ class Live:
         recent = [one.blocks for one in self._past if newest_ns - one.t_ns <= 1e9 * STILL_S]
         if len(recent) < _LEAST_FRAMES:
             recent = [one.blocks for one in self._past][-_LEAST_FRAMES - 1 :]
-        if len(recent) == len(self._past) < _RATE_FRAMES:
+        if len(recent) == len(self._past) < _PAST_FRAMES:
             return None  # the frames do not reach back far enough yet
         spread = np.linspace(0, len(recent) - 1, STILL_FRAMES).round().astype(int)
         return motion_grey([recent[k] for k in spread])
@@ -220,7 +219,7 @@ class Live:
         grey, now_s = to_grey(frame.image), time.monotonic()
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
             raise DeviceError(f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px")
-        self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
+        self._past.append(_Past(frame.t_ns, block_means(grey)))
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             self._find_pattern(grey)
             self._pattern_due_s = time.monotonic() + _PATTERN_S
@@ -239,9 +238,8 @@ class Live:
             self._pattern, self._no_pattern = None, str(error)
 
     def _figures_of(self, grey: U8) -> str:
-        rate = f"{self._rate():.1f}/s"
         if self._pattern is None:
-            return f"no disc: {self._no_pattern} | mean grey {grey.mean():.0f} | {rate}"
+            return f"no disc: {self._no_pattern} | mean grey {grey.mean():.0f}"
         seen = view(grey, self._pattern)
         self._focus_best = max(self._focus_best, seen.focus)
         return " | ".join(
@@ -251,16 +249,8 @@ class Live:
                 f"focus {seen.focus:.3f} (best {self._focus_best:.3f})",
                 f"contrast {seen.contrast_grey:.0f}",
                 f"saturated {100 * seen.saturated_part:.0f} %",
-                rate,
             )
         )
-
-    def _rate(self) -> float:
-        """Frames per second that the camera took, including those that were not read."""
-        if len(self._past) < 2 or self._past[-1].t_ns <= self._past[0].t_ns:
-            return 0.0
-        first, last = self._past[0], self._past[-1]
-        return 1e9 * (last.seq - first.seq) / (last.t_ns - first.t_ns)
 
 
 def _jpeg(grey: U8, disc: Disc | None) -> bytes:

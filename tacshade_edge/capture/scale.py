@@ -37,7 +37,6 @@ def parse_reading(line: bytes) -> float | None:
 
 
 BAUD = 9600
-READINGS_MAX = 1 << 20
 _LINE_BYTES_MAX = 256
 _SILENT_S = 5.0
 GAP_S = 1.0
@@ -80,12 +79,9 @@ class Scale:
         self._port.close()
 
     def check(self) -> None:
-        """Raise the reader's error, or DeviceError if the scale sends no readings or has sent too many."""
+        """Raise the reader's error, or DeviceError if the scale sends no readings."""
         if self._error is not None:
             raise self._error
-        if len(self._t_s) >= READINGS_MAX:
-            found = f"reached the limit of {READINGS_MAX} readings per run"
-            raise DeviceError(f"scale {self._port.device}: {found}; start a new run")
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"
             expected = f"expected lines with a number and a unit ({UNITS})"
@@ -125,9 +121,8 @@ class Scale:
                     continue
                 self._heard_s = now_s
                 with self._lock:
-                    if len(self._t_s) < READINGS_MAX:
-                        self._t_s.append(now_s)
-                        self._force_n.append(force_n)
+                    self._t_s.append(now_s)
+                    self._force_n.append(force_n)
 
 
 def force_at(at_s: float, t_s: F64, force_n: F64) -> float | None:

@@ -33,7 +33,7 @@ OF_USB_CAMERAS = {
     ReasonCode.ABSENT: "plug it in, or set source.device to one that tacshade-edge doctor lists",
     ReasonCode.PERMISSION: "sudo usermod -aG video $USER, then log out and in again",
     ReasonCode.IN_USE: _END_THE_OTHER,
-    ReasonCode.NOT_OFFERED: "set source.fourcc, width_px, height_px and fps to what tacshade-edge doctor lists",
+    ReasonCode.NOT_OFFERED: "set source.fourcc, width_px, height_px and fps to what v4l2-ctl --list-formats-ext lists",
     ReasonCode.NO_ANSWER: USB_CABLE,
     ReasonCode.LOST: USB_CABLE,
     ReasonCode.STALLED: USB_CABLE,

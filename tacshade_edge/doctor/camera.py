@@ -89,7 +89,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
         fix = f"set source.device: {stable}"
         found = f"{device} may name a different camera after you plug cameras in again"
         findings.append(warning("camera name", found, fix))
-    return (*findings, *_check_offer(source, str(path)))
+    return (*findings, _check_format(source, str(path)))
 
 
 def check_csi(source: Rpicam) -> tuple[Finding, ...]:
@@ -105,29 +105,18 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
     return (fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),)
 
 
-def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
-    """Check that the driver lists the configured format, size and rate."""
-    size = f"{source.width_px}x{source.height_px}"
+def _check_format(source: V4l2, node: str) -> Finding:
+    """Check that the driver lists the configured format; the frames show whether it offers size and rate."""
     try:
         formats = v4l2_node.formats(node)
-        sizes = v4l2_node.sizes(node, source.fourcc)
-        rates = v4l2_node.rates(node, source.fourcc, source.width_px, source.height_px)
     except DeviceError as error:
-        return (fault("camera format", _bare(error), "unplug the camera and plug it in again"),)
-    if source.fourcc not in formats:
-        usable = [code for code in _FOURCCS if code in formats]
-        fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
-        found = f"the camera does not offer {source.fourcc}; it offers {', '.join(formats) or 'none'}"
-        return (fault("camera format", found, fix),)
-    if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
-        shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
-        fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
-        return (fault("camera format", f"the camera does not offer {source.fourcc} at {size} px", fix),)
-    listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
-    if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
-        found = f"{source.fourcc} {size} is not available at {source.fps} frames/s"
-        return (warning("camera format", found, f"set source.fps to one of {listed}"),)
-    return (ok("camera format", f"{source.fourcc} {size}" + (f" at {listed} frames/s" if listed else "")),)
+        return fault("camera format", _bare(error), "unplug the camera and plug it in again")
+    if source.fourcc in formats:
+        return ok("camera format", source.fourcc)
+    usable = [code for code in _FOURCCS if code in formats]
+    fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
+    found = f"the camera does not offer {source.fourcc}; it offers {', '.join(formats) or 'none'}"
+    return fault("camera format", found, fix)
 
 
 def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:

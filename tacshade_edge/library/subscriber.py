@@ -11,7 +11,6 @@ import time
 from typing import Any, Final
 
 from paho.mqtt.client import Client
-from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, connect_now, make_client
@@ -151,16 +150,7 @@ class _Heard(Results):
             raise self._lost(self._failure or "the broker does not answer", code)
 
     def _step(self, timeout_s: float) -> bool:
-        """Send and receive once; False without a connection. `Client.loop` would leave a pair of sockets open."""
-        client = self._client
-        if (sock := client.socket()) is None:
-            return False
-        if not self._waits():
-            select.select([sock], [sock] if client.want_write() else [], [], timeout_s)
-        for once in (client.loop_read, client.loop_write, client.loop_misc):
-            if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
-                return False
-        return client.socket() is not None
+        return self._client.step(0.0 if self._waits() else timeout_s)
 
     def _waits(self) -> bool:
         """Whether unread data is waiting."""

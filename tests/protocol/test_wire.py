@@ -137,14 +137,6 @@ def _cloud(n: int) -> tuple[st.SearchStrategy[Any], ...]:
     return npst.arrays(np.float32, (n, 3), elements=placed), npst.arrays(np.uint16, n)
 
 
-def test_cloud_of_more_points_than_a_u16_counts() -> None:
-    points = np.arange(3 * 70_000, dtype=np.float32).reshape(-1, 3)
-    result = reconstruction(np.zeros((1, 1), np.float32), points, np.full(70_000, 2, np.uint16))
-    message = wire.decode(wire.encode_cloud(result, calibration_crc32=0))
-    assert isinstance(message, wire.CloudMessage)
-    np.testing.assert_array_equal(message.points_mm, points)
-
-
 def test_grid_that_the_header_cannot_hold_is_an_error_not_a_wrap() -> None:
     wide = np.zeros((1, 65_536), np.float32)
     with pytest.raises(ValueError, match="65535"):

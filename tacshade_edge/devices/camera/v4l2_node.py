@@ -25,9 +25,6 @@ _VIDIOC_G_CTRL, _VIDIOC_S_CTRL = 0xC008561B, 0xC008561C
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
 _VIDIOC_REQBUFS = 0xC0145608
-_VIDIOC_ENUM_FRAMESIZES = 0xC02C564A
-_VIDIOC_ENUM_FRAMEINTERVALS = 0xC034564B
-_DISCRETE = 1
 _BUF_TYPES = (1, 9)  # capture, and the multi-planar one
 _CAPTURE = 0x00000001 | 0x00001000  # V4L2_CAP_VIDEO_CAPTURE, _MPLANE
 _MEMORY_MMAP = 1
@@ -72,73 +69,15 @@ def check_node(device: str) -> str:
 
 def formats(device: str) -> list[str]:
     """Return the four-character codes of the pixel formats that the device offers. Raises as `check_node` does."""
+    codes = []
     with _opened(device) as fd:
-        entries = [entry for kind in _BUF_TYPES for entry in _enumerated(fd, _VIDIOC_ENUM_FMT, 64, kind)]
-    return [entry[44:48].decode("ascii", errors="replace").strip() for entry in entries]
-
-
-@dataclass(frozen=True, slots=True)
-class Sizes:
-    """One size, or a range of sizes in steps, in px."""
-
-    widths_px: range
-    heights_px: range
-
-    def holds(self, width_px: int, height_px: int) -> bool:
-        """Whether the range contains the size."""
-        return width_px in self.widths_px and height_px in self.heights_px
-
-    def __str__(self) -> str:
-        least, most = (f"{self.widths_px[at]}x{self.heights_px[at]}" for at in (0, -1))
-        return least if least == most else f"{least} to {most}"
-
-
-def sizes(device: str, fourcc: str) -> list[Sizes]:
-    """Return the sizes offered in a format; empty if the driver does not list them. Raises as `check_node` does."""
-    found = []
-    with _opened(device) as fd:
-        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMESIZES, 44, _code(fourcc)):
-            kind, *values = struct.unpack_from("<7I", entry, 8)
-            if kind == _DISCRETE:
-                width_px, height_px = values[:2]
-                values = [width_px, width_px, 1, height_px, height_px, 1]
-            found.append(Sizes(*(range(least, most + 1, step or 1) for least, most, step in (values[:3], values[3:]))))
-            if kind != _DISCRETE:
-                break
-    return found
-
-
-def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple[float, float]]:
-    """Return the minimum and maximum (1/s) of each frame rate, or range of rates, offered at a size.
-
-    Empty if the driver does not list them. Raises as `check_node` does.
-    """
-    found = []
-    with _opened(device) as fd:
-        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMEINTERVALS, 52, _code(fourcc), width_px, height_px):
-            kind, *fractions = struct.unpack_from("<5I", entry, 16)
-            shortest = fractions[1] / max(fractions[0], 1)
-            longest = shortest if kind == _DISCRETE else fractions[3] / max(fractions[2], 1)
-            found.append((longest, shortest))
-            if kind != _DISCRETE:
-                break
-    return found
-
-
-def _code(fourcc: str) -> int:
-    return int.from_bytes(fourcc.encode().ljust(4), "little")
-
-
-def _enumerated(fd: int, request: int, size_bytes: int, *key: int) -> Iterator[bytearray]:
-    """Yield the entries of a kernel list, requested by index and `key`."""
-    for index in range(256):
-        entry = bytearray(size_bytes)
-        struct.pack_into(f"<{1 + len(key)}I", entry, 0, index, *key)
-        try:
-            fcntl.ioctl(fd, request, entry)
-        except OSError:  # the end of the list, EINVAL; ENOTTY when the driver has none
-            return
-        yield entry
+        for kind in _BUF_TYPES:
+            with suppress(OSError):  # the end of the list, EINVAL
+                for index in range(256):
+                    entry = bytearray(struct.pack("<2I56x", index, kind))
+                    fcntl.ioctl(fd, _VIDIOC_ENUM_FMT, entry)
+                    codes.append(entry[44:48].decode("ascii", errors="replace").strip())
+    return codes
 
 
 def is_busy(device: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import select
 import socket
 import ssl
 import sys
@@ -89,6 +90,16 @@ class Session(Client):
             return super()._packet_handle()
         finally:
             self._unknown_code = None
+
+    def step(self, timeout_s: float) -> bool:
+        """Send and receive once; False without a connection. `Client.loop` would leave its socket pair open."""
+        if (sock := self.socket()) is None:
+            return False
+        select.select([sock], [sock] if self.want_write() else [], [], timeout_s)
+        for once in (self.loop_read, self.loop_write, self.loop_misc):
+            if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
+                return False
+        return self.socket() is not None
 
     def stop(self) -> None:
         """Disconnect, and end the network thread."""

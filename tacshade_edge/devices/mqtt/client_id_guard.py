@@ -9,14 +9,12 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-import select
 import socket
 import time
 from collections.abc import Callable
 from typing import Any, Final
 
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import Session, connect_now, publish_properties
@@ -74,13 +72,13 @@ class ClientIdGuard:
         try:
             connect_now(self._client, self._host, self._port)
             end_s = time.monotonic() + _ANSWER_S
-            while not self._asked and not stopped() and time.monotonic() < end_s and self._step():
+            while not self._asked and not stopped() and time.monotonic() < end_s and self._client.step(_POLL_S):
                 pass
             if not self._asked:
                 return
             self._seen_s = time.monotonic()
             while not stopped() and not self._is_free(report):
-                if not self._step():
+                if not self._client.step(_POLL_S):
                     raise ConnectionResetError("connection lost")
             self._waited &= stopped()
         finally:
@@ -111,19 +109,8 @@ class ClientIdGuard:
         if (sock := self._client.socket()) is not None:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-        while self._step():  # reads to the end of the stream, and closes
+        while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
             pass
-
-    def _step(self) -> bool:
-        """Send and receive once; False without a connection. `Client.loop` would leave its socket pair open."""
-        client = self._client
-        if (sock := client.socket()) is None:
-            return False
-        select.select([sock], [sock] if client.want_write() else [], [], _POLL_S)
-        for once in (client.loop_read, client.loop_write, client.loop_misc):
-            if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
-                return False
-        return client.socket() is not None
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if not code.is_failure:

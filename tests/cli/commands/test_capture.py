@@ -88,48 +88,6 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
     calibrate(read_sensor(folder.sensor), folder.references())
 
 
-@pytest.mark.slow
-def test_kill_9_loses_only_the_press_under_way(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
-    (tmp_path / "PLAN.csv").write_text(PLAN + ",ball,6,2.5,1,-3\n" * 20)
-    folder = CaptureFolder(tmp_path / "out")
-    words = (str(folder.path), "--config", str(config), "--plan", str(tmp_path / "PLAN.csv"))
-
-    def whole() -> tuple[int, int]:
-        """References and presses; each row has its image."""
-        presses = read_presses(folder.presses)[0] if folder.presses.exists() else []
-        return len(folder.references()), len(presses)
-
-    for answers in (0, 2):
-        with person(*words) as one:
-            one.hears("Radius of the undeformed skin")
-            for answer in ("20", "50", "14", "bright")[:answers]:
-                one.types(answer)
-    (tmp_path / "out").mkdir(exist_ok=True)
-    folder.sensor.write_text(sensor_yaml)
-    with person(*words) as one:
-        one.hears("Enter takes 10 references.")
-        one.types("")
-    assert whole()[0] in (0, 10)
-    with person(*words) as one:
-        if one.hears("Enter takes 10 references.", "press 1") != "press 1":
-            one.types("")
-            one.hears("10 references, noise")
-    press("ball,6,2.5,1,-3")
-    taken = 0
-    for more in (0, 3):
-        with person(*words) as one:
-            one.hears(f"this folder already has 10 references and {taken} press")
-            one.hears("planned presses left")
-            one.types("")
-            one.hears(f"press_{taken + 1:03d}.png: ball")
-            for _ in range(more):  # more than it can take before it is killed
-                one.types("")
-        references, found = whole()
-        assert references == 10
-        assert taken < found <= taken + 1 + more
-        taken = found
-
-
 NO_POSE = "not taken: the robot reported no pose for this picture"
 
 

@@ -135,11 +135,7 @@ def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: P
         for _ in presses(one, press, scale, range(1, 6)):
             pass
         one.types("done")
-        one.hears("Enter measures the drift.")
-        scale.put(0.001)
-        threading.Event().wait(LATE_S + 0.1)
-        one.types("")
-        one.hears("scale: subtracted the tare of 0.1177 N; drift since then: +0.0098 N, spread")
+        one.hears("scale: subtracted the tare of 0.1177 N")
         one.hears("scale: its readings come ")
         one.hears(" presses")
         late_ms, error_ms = float(one.before.split()[0]), float(one.before.split("standard error ")[1].split()[0])
@@ -153,25 +149,6 @@ def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: P
     near = [row for row in rows if abs(row.known["force_z_n"] - weight_n) < 0.01]
     assert len(near) > 0.7 * len(rows) > 20
     assert all(-0.01 < row.known["force_z_n"] < weight_n + 0.01 for row in rows)
-
-
-@pytest.mark.slow
-def test_a_scale_that_cannot_be_lined_up_gives_no_force(out: Path, config: Path, press: Press) -> None:
-    with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
-        rested(one)
-        one.hears("tare: the scale reads")
-        for _ in presses(one, press, scale, range(1, 3)):
-            one.hears("no quantity yet")
-        one.types("depth_mm=1")
-        one.hears("press 3: 1 pictures with depth_mm")
-        one.types("done")
-        one.hears("Enter measures the drift.")
-        one.types("")
-        assert one.ends() == 1
-        assert "cannot match the scale's clock to the camera's: found 2 presses (of 2)" in one.heard
-    rows = labelled(out)
-    assert [row.known for row in rows if row.known] == [{"depth_mm": 1.0}]
-    assert {row.group for row in rows} == {"1", "2", "3"}
 
 
 @pytest.mark.slow

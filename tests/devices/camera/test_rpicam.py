@@ -168,15 +168,6 @@ def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert caught.value.code is ReasonCode.ABSENT
 
 
-def test_reading_without_opening_and_closing_twice() -> None:
-    camera = source()
-    for take in (camera.read, camera.skip):
-        with pytest.raises(DeviceError, match="not open"):
-            take()
-    camera.close()
-    camera.close()
-
-
 @pytest.mark.parametrize(("asked", "found"), [(None, 1), (12.5, 12.5)])
 def test_a_lens_that_moves_is_locked(stand_in: Callable[..., None], asked: float | None, found: float) -> None:
     stand_in(lens=True)

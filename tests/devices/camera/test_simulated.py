@@ -10,7 +10,6 @@ from tacshade_edge.devices.camera.simulated import SimulatedSource
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.script import Script
-from tacshade_edge.simulator.truth import SimulatedSensor
 
 SMALL = replace(SensorModel(), image_height_px=48, image_width_px=64, row_c=23.0, col_c=31.0, disc_radius_px=20.0)
 SCRIPT = Script((Press(ball(5.0), depth_mm=3.0),), approach=1, hold=1, release=1, pause=1)
@@ -63,14 +62,6 @@ def test_a_frame_that_is_skipped_is_waited_for_and_not_drawn(monkeypatch: pytest
     later = camera.read()
     assert later is not None
     assert later.seq == 2 + camera.dropped
-
-
-def test_the_frames_are_the_scripts() -> None:
-    camera, sensor = source(fps=20.0), SimulatedSensor(SMALL)
-    camera.open()
-    for frame in (camera.read() for _ in range(4)):
-        drawn = sensor.frame(SCRIPT.at(frame.seq), noise_seed=frame.seq).image
-        np.testing.assert_array_equal(frame.image, drawn)
 
 
 def test_numbering_goes_on_after_a_reopening() -> None:

@@ -55,18 +55,10 @@ def test_no_wish_keeps_the_value_but_locks_it() -> None:
     assert driver.values[AUTO] == 1
 
 
-def test_a_value_out_of_range_is_told_as_it_is() -> None:
-    assert lock_exposure(Driver({AUTO: 3, VALUE: 250}), 9999) == Control(Lock.LOCKED, 2047)
-
-
 def test_a_driver_that_stays_automatic_is_told() -> None:
     control = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
     assert control == Control(Lock.AUTOMATIC, 250)
     assert str(control) == "automatic; the driver does not lock it (250)"
-
-
-def test_exposure_without_an_automatic() -> None:
-    assert lock_exposure(Driver({VALUE: 250}), 100) == Control(Lock.LOCKED, 100)
 
 
 def test_no_such_controls() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.devices.serial.port import SerialPort, check_kind
+from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import ConfigError, DeviceError
 
 
@@ -86,27 +86,6 @@ def test_what_cannot_be_opened(device: str, error: type[Exception], why: str) ->
     with pytest.raises(error, match=f"serial {device}: .*{why}") as caught:
         SerialPort(device, 115200).open()
     assert "\n" not in str(caught.value)
-
-
-def test_a_file_that_someone_wrote_while_the_port_was_away_is_waited_for(line: tuple[int, str], tmp_path: Path) -> None:
-    place = tmp_path / "robot"
-    place.symlink_to(line[1])
-    port = SerialPort(str(place), 115200)
-    port.open()
-    port.close()
-    place.unlink()
-    place.write_text("echo hello > /dev/ttyACM0")
-    with pytest.raises(DeviceError, match="found another kind of file"):
-        port.open()
-
-
-def test_only_what_is_there_and_is_no_device_is_hopeless() -> None:
-    check_kind("/dev/no-such-port")
-    check_kind("/dev/null")
-    check_kind("socket://robot:7000")
-    for device, why in (("/dev", "found another kind of file"), ("foo://x", "protocol 'foo' not known")):
-        with pytest.raises(ConfigError, match=why):
-            check_kind(device)
 
 
 @pytest.mark.slow

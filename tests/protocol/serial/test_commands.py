@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
-from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,6 @@ from tacshade_edge.protocol.results import (
 )
 from tacshade_edge.protocol.serial import commands
 from tacshade_edge.protocol.serial.commands import (
-    ERROR_WORDS,
     NAMES_MAX,
     PortOpened,
     PosesMissing,
@@ -46,7 +43,6 @@ from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX, Line, parse_line,
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import QUANTITIES
 
-DOCS = Path(__file__).parents[3] / "docs"
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "serial.json").read_text())
 LONGEST = tuple(sorted(QUANTITIES, key=len)[-NAMES_MAX:])
 
@@ -93,15 +89,6 @@ def test_what_follows_ok(result: SerialResult, text: str) -> None:
     assert answer_text(None, result) == f"OK - {text}"
 
 
-def test_every_word_of_the_documents_has_a_code() -> None:
-    serial, stitching = ((DOCS / name).read_text() for name in ("reference/serial.md", "how-to/stitching.md"))
-    answers = stitching[stitching.index("| answer | when |") :]
-    words = {word for row in re.findall(r"^\| (`[A-Z].*?) \|", answers, re.MULTILINE) for word in row.split("`")[1::2]}
-    words |= set(re.findall(r"ERR seq ([A-Z]+)", serial)) - {"REFUSED"}
-    assert len(words) > 10
-    assert words <= set(ERROR_WORDS.values())
-
-
 def test_a_reference_is_refused_with_one_word() -> None:
     busy = Reason(ReasonCode.BUSY, "already taking a reference")
     assert answer_text(7, busy, "CAPTURE") == "ERR 7 BUSY already taking a reference"
@@ -143,19 +130,9 @@ def test_a_value_has_at_most_eight_characters(value: float | None, text: str) ->
     assert event_text(TouchSeen(1, 2, True, (("x_mm", value),))) == f"EVT TOUCH 1 2 x_mm={text}"
 
 
-@pytest.mark.slow
-def test_no_event_is_longer_than_what_is_reckoned_with_and_than_a_line() -> None:
-    for count in (1, NAMES_MAX):
-        for names, value in product(combinations(QUANTITIES, count), (-1000.0001, None)):
-            seen = TouchSeen(2**32 - 1, 2**63 - 1, value is not None, tuple((name, value) for name in names))
-            frame = cobs_encode(b"L" + seal(event_text(seen))[:-1]) + b"\0"
-            assert len(frame) <= event_bytes_max(names) <= event_bytes_max(LONGEST) <= LINE_BYTES_MAX
-
-
 @pytest.mark.parametrize(
     ("args", "asked"),
     [
-        ("OFF", None),
         ("off", None),
         ("ON depth_mm", TouchAsked(("depth_mm",), 60)),
         ("on force_z_n depth_mm 1", TouchAsked(("force_z_n", "depth_mm"), 1)),
@@ -170,18 +147,13 @@ def test_asked(args: str, asked: TouchAsked | None) -> None:
     ("args", "why"),
     [
         ("", "found '', expected ON or OFF"),
-        ("OFF depth_mm", "found 'OFF depth_mm', expected ON or OFF"),
         ("depth_mm", "found 'depth_mm', expected ON or OFF"),
         ("ON", "found 0 names, expected 1 to 6 different names"),
-        ("ON 30", "found 0 names, expected 1 to 6 different names"),
         (f"ON {' '.join(QUANTITIES[:7])}", "found 7 names, expected 1 to 6 different names"),
         ("ON depth_mm depth_mm", "found 2 names, expected 1 to 6 different names"),
-        ("ON Depth_mm", "found 'Depth_mm', expected one of depth_mm tilt_x_deg"),
         ("ON 30 depth_mm", "found '30', expected one of depth_mm"),
         ("ON depth_mm 0", "found the RATE 0, expected a whole number of Hz from 1 to 1000"),
-        ("ON depth_mm 1001", "found the RATE 1001, expected a whole number of Hz from 1 to 1000"),
         ("ON depth_mm 29.97", "found the RATE 29.97, expected a whole number of Hz from 1 to 1000"),
-        ("ON depth_mm -5", "found '-5', expected one of"),
     ],
 )
 def test_asked_wrongly(args: str, why: str) -> None:
@@ -198,6 +170,8 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
         "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s (90 % of 9600 baud); "
         "use a RATE of at most 4, fewer names or a faster line"
     )
+    seen = TouchSeen(2**32 - 1, 2**63 - 1, True, tuple((name, -1000.0001) for name in LONGEST))
+    assert len(cobs_encode(b"L" + seal(event_text(seen))[:-1]) + b"\0") == event_bytes_max(LONGEST) <= LINE_BYTES_MAX
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None
     assert too_slow(TouchAsked(LONGEST, 5), 9600) is not None
     slowest = too_slow(TouchAsked(LONGEST, 1), 110)
