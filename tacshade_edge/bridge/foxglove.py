@@ -15,7 +15,7 @@ from foxglove.messages import CompressedImage, FrameTransforms, Log, PointCloud,
 from tacshade_edge.bridge import foxglove_messages as made
 from tacshade_edge.bridge.roster import SENSORS_MAX as KNOWN_MAX
 from tacshade_edge.bridge.roster import Refusals, Roster
-from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
+from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Schema, Viewers
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol.codec import encode_json
@@ -37,29 +37,23 @@ _log = logging.getLogger(__name__)
 
 SENSORS_MAX: Final = 32
 SKIN_PERIOD_NS: Final = 200_000_000
-_LINES: Final = 64
-"""Number of small messages that wait for a slow viewer; of pictures and maps only the newest waits."""
-
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
-# channel: the sensor's topics that it is made from. Transforms are sent along with any other requested channel.
-_TOPICS: Final[dict[str, tuple[str, ...]]] = {
-    "height": ("height",),
-    "cloud": ("cloud",),
-    "skin": ("height",),
-    "map": ("map/cloud",),
-    "preview": ("preview",),
-    "contact": ("contact",),
-    "touch": ("touch",),
-    "health": ("health",),
-    "log": ("state", "status/+", "event/slip"),
-    "tf": (),
+# channel: its schema, and the sensor's topics that it is made from. Transforms come along with the others' messages.
+_CHANNELS: Final[dict[str, tuple[Schema, tuple[str, ...]]]] = {
+    "height": (RawImage.get_schema(), ("height",)),
+    "cloud": (PointCloud.get_schema(), ("cloud",)),
+    "skin": (SceneUpdate.get_schema(), ("height",)),
+    "map": (PointCloud.get_schema(), ("map/cloud",)),
+    "preview": (CompressedImage.get_schema(), ("preview",)),
+    "contact": (made.CONTACT_SCHEMA, ("contact",)),
+    "touch": (TOUCH_SCHEMA, ("touch",)),
+    "health": ({"title": "tacshade.Health", "type": "object"}, ("health",)),
+    "log": (Log.get_schema(), ("state", "status/+", "event/slip")),
+    "tf": (FrameTransforms.get_schema(), ()),
 }
-
-
-_HEALTH_SCHEMA: Final = {"title": "tacshade.Health", "type": "object"}
-_BRIDGE_SCHEMA: Final = {"title": "tacshade.Bridge", "type": "object"}
+_OWN: Final[dict[str, Schema]] = {"/tacshade/bridge": {"title": "tacshade.Bridge", "type": "object"}}
 
 
 class _Sensor:
@@ -68,20 +62,8 @@ class _Sensor:
     def __init__(self, sensor_id: str, viewers: Viewers) -> None:
         self._id, self._base = sensor_id, f"tacshade/{sensor_id}"
         self._viewers = viewers
-        schemas = {
-            "height": (RawImage.get_schema(), 1),
-            "cloud": (PointCloud.get_schema(), 1),
-            "skin": (SceneUpdate.get_schema(), 1),
-            "map": (PointCloud.get_schema(), 1),
-            "preview": (CompressedImage.get_schema(), 1),
-            "contact": (made.CONTACT_SCHEMA, _LINES),
-            "touch": (TOUCH_SCHEMA, _LINES),
-            "health": (_HEALTH_SCHEMA, 1),
-            "log": (Log.get_schema(), _LINES),
-            "tf": (FrameTransforms.get_schema(), 1),
-        }
-        channels = [Channel(f"/{self._base}/{name}", schema, depth) for name, (schema, depth) in schemas.items()]
-        self._channels = dict(zip(schemas, viewers.advertise(channels), strict=True))
+        schemas = {f"/{self._base}/{name}": schema for name, (schema, _) in _CHANNELS.items()}
+        self._channels = dict(zip(_CHANNELS, viewers.advertise(schemas), strict=True))
         self._info = Info(geometry=None, profile="")
         self._skin_ns = 0
         self._kept: dict[str, Callable[[], Any]] = {}
@@ -96,7 +78,7 @@ class _Sensor:
             f"{self._base}/{topic}"
             for name, channel in self._channels.items()
             if self._viewers.watched(channel)
-            for topic in _TOPICS[name]
+            for topic in _CHANNELS[name][1]
         }
 
     def repeat(self) -> None:
@@ -158,7 +140,7 @@ class _Sensor:
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
         if (pose := message.pose) is not None:
-            self._send("tf", lambda: made.base_T_flange(pose, self._id, message.wall_ns), "base")
+            self._send("tf", lambda: made.base_T_flange(pose, self._id, message.wall_ns))
 
     def _line(self, topic: str, text: str, *, warns: bool) -> None:
         shown = escaped(text, _LOG_CHARS_MAX)
@@ -168,7 +150,7 @@ class _Sensor:
         self._kept[name] = message
         self._send(name, message)
 
-    def _send(self, name: str, message: Callable[[], Any], slot: str = "") -> None:
+    def _send(self, name: str, message: Callable[[], Any]) -> None:
         """Make and send a message if a viewer watches its channel. Raises DecodeError."""
         channel = self._channels[name]
         if not self._viewers.watched(channel):
@@ -179,7 +161,7 @@ class _Sensor:
             raise DecodeError(
                 f"{name}: found {len(payload)} bytes in a viewer's message, expected at most {MESSAGE_BYTES_MAX} bytes"
             )
-        self._viewers.send(channel, payload, slot)
+        self._viewers.send(channel, payload)
 
 
 @dataclass(slots=True)
@@ -224,7 +206,7 @@ class FoxgloveBridge:
             ) from None
         self.port = self._viewers.port
         self._counts = b""
-        (self._own,) = self._viewers.advertise([Channel("/tacshade/bridge", _BRIDGE_SCHEMA, 1)])
+        (self._own,) = self._viewers.advertise(_OWN)
 
     def stop(self) -> None:
         """Close the viewers' connections."""
@@ -254,7 +236,7 @@ class FoxgloveBridge:
     def poll(self) -> None:
         """Subscribe to what the viewers now watch, and send them the counts; call this ten times a second."""
         with self._lock:
-            counts = encode_json({**self._refusals.counts, "passed_over": self._viewers.passed_over})
+            counts = encode_json({**self._refusals.counts, "passed_over": self._viewers.missed})
         if self._changed.is_set() or counts != self._counts:
             self._counts = counts
             self._viewers.send(self._own, counts)

@@ -7,7 +7,7 @@ import socketserver
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http.server import ThreadingHTTPServer
 from typing import Any, Final, Literal
@@ -57,10 +57,10 @@ class SensorMetrics:
                 return
             sensor_id, name = found.groups()
             try:
-                if name == "state":
-                    self._hear_state(sensor_id, payload)
-                elif payload:
-                    self._hear_health(sensor_id, decode_health(payload), retained=retained)
+                if payload:
+                    self._hear(sensor_id, name, payload, retained=retained)
+                elif name == "state":
+                    self._sensors.drop(sensor_id)
             except DecodeError as error:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
@@ -82,35 +82,31 @@ class SensorMetrics:
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
                 state.add_metric([name, one], float(sensor.state == one))
-        family = CounterMetricFamily(
+        refusals = CounterMetricFamily(
             "tacshade_bridge_refused", "Messages that the bridge left out, by reason", labels=["why"]
         )
         for why, count in refused.items():
-            family.add_metric([why], count)
-        yield from (up, state, family)
-        yield from _of_health(fresh)
+            refusals.add_metric([why], count)
+        yield from (up, state, refusals)
+        for kind, name, text, labels, samples in _OF_HEALTH:
+            family = kind(f"tacshade_{name}", text, labels=["sensor", *labels])
+            for sensor_id, health in fresh.items():
+                for values, number in samples(health).items():
+                    family.add_metric([sensor_id, *values], number)
+            yield family
 
-    def _hear_state(self, sensor_id: str, payload: bytes) -> None:
-        if not payload:
-            self._sensors.drop(sensor_id)
+    def _hear(self, sensor_id: str, name: str, payload: bytes, *, retained: bool) -> None:
+        state = decode_state(payload) if name == "state" else None
+        health = decode_health(payload) if name == "health" else None
+        rank = 0 if health is None else 1 if retained else 2
+        if (sensor := self._sensors.of(sensor_id, rank)) is None:
+            why = f"ignoring this sensor: {SENSORS_MAX} are already reported, the limit"
+            self._refusals.add("no_room", sensor_id, why)
             return
-        state = decode_state(payload)
-        if sensor := self._held(sensor_id, 0):
-            sensor.state = state
-
-    def _hear_health(self, sensor_id: str, health: Health, *, retained: bool) -> None:
-        if sensor := self._held(sensor_id, 1 if retained else 2):
-            sensor.has_health = True
-            if not retained:
-                sensor.health, sensor.heard_s = health, self._clock_s()
-
-    def _held(self, sensor_id: str, rank: int) -> _Sensor | None:
-        sensor = self._sensors.of(sensor_id, rank)
-        if sensor is None:
-            self._refusals.add(
-                "no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are already reported, the limit"
-            )
-        return sensor
+        sensor.state = state or sensor.state
+        sensor.has_health |= health is not None
+        if health is not None and not retained:
+            sensor.health, sensor.heard_s = health, self._clock_s()
 
     def _is_alive(self, sensor: _Sensor) -> bool:
         """Whether the sensor runs and its health is fresh; its state is unknown if the roster was full when it came."""
@@ -150,59 +146,62 @@ class MetricsServer(ThreadingHTTPServer):
         self._thread.join()
 
 
-def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
-    def gauge(name: str, text: str, value: str) -> Metric:
-        family = GaugeMetricFamily(name, text, labels=["sensor"])
-        for sensor_id, health in fresh.items():
-            family.add_metric([sensor_id], getattr(health, value))
-        return family
+Samples = dict[tuple[str, ...], float]
+"""Values by the values of a family's labels after the first, the sensor."""
 
-    def counters(name: str, text: str, label: str, value: str, but: tuple[str, ...] = ()) -> Metric:
-        family = CounterMetricFamily(name, text, labels=["sensor", label])
-        for sensor_id, health in fresh.items():
-            for key, count in getattr(health, value).items():
-                if key not in but:
-                    family.add_metric([sensor_id, key], count)
-        return family
 
-    yield gauge("tacshade_uptime_seconds", "Time since the daemon started", "uptime_s")
-    yield gauge("tacshade_capture_fps", "Frames per second that the camera delivered", "capture_fps")
-    yield gauge("tacshade_delivered_fps", "Frames per second that ended as they should", "delivered_fps")
-    yield gauge("tacshade_published_fps", "Frames per second that were published", "published_fps")
-    # `captured` is left out, as it is the sum; `pending` is not an outcome and may fall, so it is a gauge.
-    family = CounterMetricFamily("tacshade_frames", "Captured frames, by outcome", labels=["sensor", "outcome"])
-    waiting = GaugeMetricFamily("tacshade_frames_pending", "Frames in progress", labels=["sensor"])
-    lost = CounterMetricFamily("tacshade_source_dropped", "Frames that never reached the daemon", labels=["sensor"])
-    latency = GaugeMetricFamily(
-        "tacshade_latency_seconds",
-        "From a frame's time stamp until its result goes to the broker, latest 512 frames",
-        labels=["sensor", "percentile"],
-    )
-    stages = GaugeMetricFamily(
-        "tacshade_stage_seconds", "Time that a stage takes, latest 512 frames", labels=["sensor", "stage", "percentile"]
-    )
-    reasons = GaugeMetricFamily(
-        "tacshade_reason",
-        "1 for the reason why the latest frame is invalid or degraded",
-        labels=["sensor", "about", "reason_code"],
-    )
-    for sensor_id, health in fresh.items():
-        for outcome, count in health.frames.items():
-            if outcome == "pending":
-                waiting.add_metric([sensor_id], count)
-            elif outcome != "captured":
-                family.add_metric([sensor_id, outcome], count)
-        lost.add_metric([sensor_id], health.source_dropped)
-        for percentile, of in (("50", "p50"), ("99", "p99")):
-            if health.latency_ms is not None:
-                latency.add_metric([sensor_id, percentile], getattr(health.latency_ms, of) * _S_PER_MS)
-            for stage, taken_ms in health.stages_ms.items():
-                stages.add_metric([sensor_id, stage, percentile], getattr(taken_ms, of) * _S_PER_MS)
-        for about, code in (("invalid", health.invalid_reason_code), ("degraded", health.degraded_reason_code)):
-            if code:
-                reasons.add_metric([sensor_id, about, code], 1.0)
-    yield from (family, waiting, lost, latency, stages, reasons)
-    yield counters("tacshade_mqtt", "Messages to the broker, by outcome", "what", "mqtt")
-    yield counters(
-        "tacshade_recorder_frames", "Frames for recordings, by outcome", "what", "recorder", but=("waiting", "pre_roll")
-    )
+def _percentiles(name: tuple[str, ...], taken_ms: Any) -> Samples:
+    found = {"50": taken_ms.p50, "99": taken_ms.p99} if taken_ms is not None else {}
+    return {(*name, percentile): ms * _S_PER_MS for percentile, ms in found.items()}
+
+
+def _stages(health: Health) -> Samples:
+    every = [_percentiles((stage,), taken_ms) for stage, taken_ms in health.stages_ms.items()]
+    return {labels: seconds for one in every for labels, seconds in one.items()}
+
+
+def _reasons(health: Health) -> Samples:
+    codes = {"invalid": health.invalid_reason_code, "degraded": health.degraded_reason_code}
+    return {(about, code): 1.0 for about, code in codes.items() if code}
+
+
+def _counts(counted: Mapping[str, float], but: tuple[str, ...] = ()) -> Samples:
+    return {(what,): count for what, count in counted.items() if what not in but}
+
+
+_Family = type[CounterMetricFamily] | type[GaugeMetricFamily]
+_GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
+# `captured` is left out of the frames' outcomes, as it is their sum; `pending` may fall, so it is a gauge.
+_OF_HEALTH: Final[tuple[tuple[_Family, str, str, tuple[str, ...], Callable[[Health], Samples]], ...]] = (
+    (_GAUGE, "uptime_seconds", "Time since the daemon started", (), lambda h: {(): h.uptime_s}),
+    (_GAUGE, "capture_fps", "Frames per second that the camera delivered", (), lambda h: {(): h.capture_fps}),
+    (_GAUGE, "delivered_fps", "Frames per second that ended as they should", (), lambda h: {(): h.delivered_fps}),
+    (_GAUGE, "published_fps", "Frames per second that were published", (), lambda h: {(): h.published_fps}),
+    (
+        *(_COUNTER, "frames", "Captured frames, by outcome", ("outcome",)),
+        lambda h: _counts(h.frames, ("captured", "pending")),
+    ),
+    (
+        *(_GAUGE, "frames_pending", "Frames in progress", ()),
+        lambda h: {(): h.frames["pending"]} if "pending" in h.frames else {},
+    ),
+    (_COUNTER, "source_dropped", "Frames that never reached the daemon", (), lambda h: {(): h.source_dropped}),
+    (
+        *(
+            _GAUGE,
+            "latency_seconds",
+            "From a frame's time stamp until its result goes to the broker, latest 512 frames",
+        ),
+        *(("percentile",), lambda h: _percentiles((), h.latency_ms)),
+    ),
+    (_GAUGE, "stage_seconds", "Time that a stage takes, latest 512 frames", ("stage", "percentile"), _stages),
+    (
+        *(_GAUGE, "reason", "1 for the reason why the latest frame is invalid or degraded"),
+        *(("about", "reason_code"), _reasons),
+    ),
+    (_COUNTER, "mqtt", "Messages to the broker, by outcome", ("what",), lambda h: _counts(h.mqtt)),
+    (
+        *(_COUNTER, "recorder_frames", "Frames for recordings, by outcome", ("what",)),
+        lambda h: _counts(h.recorder, ("waiting", "pre_roll")),
+    ),
+)

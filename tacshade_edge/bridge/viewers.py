@@ -1,7 +1,7 @@
-"""Foxglove's WebSocket protocol with limits on the number of viewers and on the bytes that wait for a slow one.
+"""Foxglove's WebSocket protocol with limits on the number of viewers and on what waits for a slow one.
 
-The SDK's own server limits the number of waiting messages, not their bytes, accepts any number of connections, and
-waits for silent ones when it stops; so only the SDK's encoders are used.
+Only the SDK's encoders are used: its server accepts any number of connections, and stops listening for good once the
+process has no file descriptor left.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import itertools
 import json
 import logging
 import struct
 import threading
 import time
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -34,84 +35,43 @@ VIEWERS_MAX: Final = 16
 CONNECTIONS_MAX: Final = 48
 MESSAGE_BYTES_MAX: Final = 5 << 20
 WAITING_BYTES_MAX: Final = 8 << 20
-"""Limit on what waits for one viewer, besides the message being sent; the oldest messages are dropped."""
-_TEXTS_MAX: Final = 256
+WAITING_MAX: Final = 256
+"""Limits on what waits for one viewer, besides the message being sent; the oldest messages are dropped."""
 _UNSENT_BYTES_MAX: Final = 2 * MESSAGE_BYTES_MAX
 _FROM_VIEWER_BYTES_MAX: Final = 1 << 16
-_SPEAK_S: Final = 5.0
-_STALL_S: Final = 10.0
-_CLOSE_S: Final = 0.5
-_START_S: Final = 10.0
+_SPEAK_S, _STALL_S, _CLOSE_S, _START_S = 5.0, 10.0, 0.5, 10.0
 _PROTOCOLS: Final = [Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1")]
 _MESSAGE: Final = struct.Struct("<BIQ")
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
+_SERVER_INFO: Final = json.dumps({"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}})
 
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """A stream of messages that a viewer can subscribe to, with the SDK's schema or a JSON Schema with a title.
-
-    Of its messages, `depth` wait for a busy viewer; newer ones replace older ones.
-    """
-
-    topic: str
-    schema: foxglove.Schema | dict[str, Any]
-    depth: int = 1
-
-    def advertised(self, number: int) -> dict[str, Any]:
-        """The channel as the protocol's `advertise` describes it."""
-        schema = self.schema
-        if isinstance(schema, dict):
-            words = ("json", schema["title"], "jsonschema", json.dumps(schema))
-        else:
-            words = (schema.encoding, schema.name, schema.encoding, base64.b64encode(schema.data).decode())
-        encoding, name, schema_encoding, text = words
-        described = {"encoding": encoding, "schemaName": name, "schemaEncoding": schema_encoding, "schema": text}
-        return {"id": number, "topic": self.topic, **described}
+Schema = foxglove.Schema | dict[str, Any]
+"""The SDK's schema, or a JSON Schema with a title."""
 
 
 @dataclass(slots=True, eq=False)
 class _Viewer:
     socket: ServerConnection
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    texts: deque[str] = field(default_factory=deque)
-    channels: dict[int, int] = field(default_factory=dict)
-    """The viewer's subscription number for each channel that it watches."""
-    waiting: OrderedDict[tuple[int, str], deque[tuple[int, bytes]]] = field(default_factory=OrderedDict)
+    subscriptions: dict[int, int] = field(default_factory=dict)  # from channel to the viewer's own number
+    waiting: deque[str | bytes] = field(default_factory=deque)
     waiting_bytes: int = 0
-    passed_over: int = 0
-    """Number of messages that newer ones replaced before they were sent."""
+    missed: int = 0
 
-    def put(self, channel: int, slot: str, depth: int, log_ns: int, payload: bytes) -> None:
-        """Queue a message, dropping older ones that exceed `depth` or `WAITING_BYTES_MAX`."""
-        queue = self.waiting.setdefault((channel, slot), deque())
-        queue.append((log_ns, payload))
-        self.waiting_bytes += len(payload)
-        while len(queue) > depth:
-            self.waiting_bytes -= len(queue.popleft()[1])
-            self.passed_over += 1
-        while self.waiting_bytes > WAITING_BYTES_MAX:
-            self._pop()
-            self.passed_over += 1
+    def put(self, message: str | bytes) -> None:
+        """Queue a message and drop the oldest ones over the limits; without a text, a viewer cannot go on."""
+        self.waiting.append(message)
+        self.waiting_bytes += len(message)
+        while len(self.waiting) > WAITING_MAX or self.waiting_bytes > WAITING_BYTES_MAX:
+            if isinstance(self.take(), str):
+                self.socket.transport.abort()
+            self.missed += 1
+        self.wake.set()
 
-    def take(self) -> str | bytes | None:
-        """Return the next message to send, or None if nothing waits."""
-        if self.texts:
-            return self.texts.popleft()
-        while self.waiting:
-            channel, (log_ns, payload) = self._pop()
-            if (subscription := self.channels.get(channel)) is not None:
-                return _MESSAGE.pack(1, subscription, log_ns) + payload
-        return None
-
-    def _pop(self) -> tuple[int, tuple[int, bytes]]:
-        """Remove and return the oldest message of the channel whose turn it is."""
-        key, queue = self.waiting.popitem(last=False)
-        message = queue.popleft()
-        self.waiting_bytes -= len(message[1])
-        if queue:
-            self.waiting[key] = queue
-        return key[0], message
+    def take(self) -> str | bytes:
+        message = self.waiting.popleft()
+        self.waiting_bytes -= len(message)
+        return message
 
 
 class _Connection(ServerConnection):
@@ -126,16 +86,16 @@ class _Connection(ServerConnection):
 class Viewers:
     """Serves channels to viewers in its own thread; `on_change` is called there when one starts or stops watching.
 
-    `passed_over` counts the messages that former viewers were too slow to receive. Raises OSError.
+    Only that thread changes the viewers and channels. `missed` counts the messages that former viewers were too slow
+    to receive. Raises OSError.
     """
 
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
-        self._lock = threading.Lock()
-        self._channels: dict[int, Channel] = {}
-        self._number = 0
+        self._numbers = itertools.count()
+        self._channels: dict[int, dict[str, Any]] = {}  # as the protocol's `advertise` describes them
         self._viewers: list[_Viewer] = []
-        self.passed_over = 0
+        self.missed = 0
         self._listener = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
         self.port: int = self._listener.getsockname()[1]
         self._loop = asyncio.new_event_loop()
@@ -147,63 +107,51 @@ class Viewers:
 
     def stop(self) -> None:
         """Close the viewers' connections, even if they do not respond."""
-        self._loop.call_soon_threadsafe(self._over.set)
+        self._soon(self._over.set)
         self._thread.join()
 
-    def advertise(self, channels: Sequence[Channel]) -> list[int]:
-        """Offer channels to the viewers and return the channels' numbers."""
-        with self._lock:
-            numbers = list(range(self._number, self._number + len(channels)))
-            self._number += len(channels)
-            self._channels.update(zip(numbers, channels, strict=True))
-            self._notify_all(self._advertisement(numbers))
+    def advertise(self, schemas: dict[str, Schema]) -> list[int]:
+        """Offer a channel for each topic and return the channels' numbers."""
+        channels = [_described(next(self._numbers), *each) for each in schemas.items()]
+        numbers = [int(channel["id"]) for channel in channels]
+        self._soon(self._offer, dict(zip(numbers, channels, strict=True)))
         return numbers
 
     def withdraw(self, numbers: Sequence[int]) -> None:
         """Stop offering these channels."""
-        with self._lock:
-            for number in numbers:
-                del self._channels[number]
-                for viewer in self._viewers:
-                    viewer.channels.pop(number, None)
-            self._notify_all(json.dumps({"op": "unadvertise", "channelIds": list(numbers)}))
+        self._soon(self._remove, numbers)
 
     def watched(self, number: int) -> bool:
         """Whether anybody watches a channel."""
-        with self._lock:
-            return any(number in viewer.channels for viewer in self._viewers)
+        return any(number in viewer.subscriptions for viewer in tuple(self._viewers))
 
-    def send(self, number: int, payload: bytes, slot: str = "") -> None:
-        """Queue a message for all viewers of a channel; each slot of a channel keeps its newest `depth` messages."""
-        log_ns = time.time_ns()
-        with self._lock:
-            depth = self._channels[number].depth
-            for viewer in self._viewers:
-                if number in viewer.channels:
-                    viewer.put(number, slot, depth, log_ns, payload)
-                    self._wake(viewer)
+    def send(self, number: int, payload: bytes) -> None:
+        """Queue a message for all viewers of a channel."""
+        self._soon(self._queue, number, time.time_ns(), payload)
 
-    def _advertisement(self, numbers: Sequence[int]) -> str:
-        return json.dumps(
-            {"op": "advertise", "channels": [self._channels[number].advertised(number) for number in numbers]}
-        )
-
-    def _notify_all(self, text: str) -> None:
-        for viewer in self._viewers:
-            self._notify(viewer, text)
-
-    def _notify(self, viewer: _Viewer, text: str) -> None:
-        if len(viewer.texts) >= _TEXTS_MAX:
-            self._loop.call_soon_threadsafe(viewer.socket.transport.abort)
-            return
-        viewer.texts.append(text)
-        self._wake(viewer)
-
-    def _wake(self, viewer: _Viewer) -> None:
+    def _soon(self, job: Callable[..., object], *args: object) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(viewer.wake.set)
+            self._loop.call_soon_threadsafe(job, *args)
 
     # -- in the thread of the server --------------------------------------------------------------------------------
+
+    def _offer(self, channels: dict[int, dict[str, Any]]) -> None:
+        self._channels |= channels
+        for viewer in self._viewers:
+            viewer.put(_advertisement(channels))
+
+    def _remove(self, numbers: Sequence[int]) -> None:
+        for number in numbers:
+            del self._channels[number]
+        for viewer in self._viewers:
+            for number in numbers:
+                viewer.subscriptions.pop(number, None)
+            viewer.put(json.dumps({"op": "unadvertise", "channelIds": list(numbers)}))
+
+    def _queue(self, number: int, log_ns: int, payload: bytes) -> None:
+        for viewer in self._viewers:
+            if (subscription := viewer.subscriptions.get(number)) is not None:
+                viewer.put(_MESSAGE.pack(1, subscription, log_ns) + payload)
 
     def _run(self, listening: threading.Event) -> None:
         quiet = logging.getLogger("websockets.server.viewers")
@@ -233,82 +181,79 @@ class Viewers:
             await asyncio.wait_for(server.wait_closed(), 2 * _CLOSE_S)
 
     async def _carry(self, socket: ServerConnection) -> None:
-        viewer = _Viewer(socket)
-        with self._lock:
-            full = len(self._viewers) >= VIEWERS_MAX
-            if not full:
-                viewer.texts.append(_SERVER_INFO)
-                viewer.texts.append(self._advertisement(list(self._channels)))
-                viewer.wake.set()
-                self._viewers.append(viewer)
-        if full:
+        if len(self._viewers) >= VIEWERS_MAX:
             _log.warning("turned a viewer away: %d viewers, the maximum, are already connected", VIEWERS_MAX)
             await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers, the maximum, are already connected")
             return
-        sending = asyncio.ensure_future(self._send_all(viewer))
+        viewer = _Viewer(socket)
+        viewer.put(_SERVER_INFO)
+        viewer.put(_advertisement(self._channels))
+        self._viewers.append(viewer)
+        sending = asyncio.ensure_future(_send_all(viewer))
         try:
             async for message in socket:
                 self._hear(viewer, message)
         except ConnectionClosed:
             pass
         finally:
-            with self._lock:
-                self._viewers.remove(viewer)
-                self.passed_over += viewer.passed_over
+            self._viewers.remove(viewer)
+            self.missed += viewer.missed
             sending.cancel()
-            if viewer.passed_over:
-                _log.info("a viewer that read too slowly missed %d messages before it left", viewer.passed_over)
+            if viewer.missed:
+                _log.info("a viewer that read too slowly missed %d messages before it left", viewer.missed)
             self._on_change()
-
-    async def _send_all(self, viewer: _Viewer) -> None:
-        """Send a viewer's messages; only this waits for a slow viewer, and it disconnects one that reads nothing."""
-        with contextlib.suppress(ConnectionClosed):
-            while await viewer.wake.wait():
-                viewer.wake.clear()
-                while (message := self._next(viewer)) is not None:
-                    try:
-                        async with asyncio.timeout(_STALL_S):
-                            await viewer.socket.send(message)
-                    except TimeoutError:
-                        _log.warning("disconnected a viewer that read nothing for %.0f s", _STALL_S)
-                        viewer.socket.transport.abort()
-                        return
-
-    def _next(self, viewer: _Viewer) -> str | bytes | None:
-        with self._lock:
-            return viewer.take()
 
     def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
         """Process a viewer's request; if it is malformed, report that to the viewer."""
         try:
             wanted = decode_object("viewer", message.encode() if isinstance(message, str) else b"")
         except DecodeError as error:
-            self._refuse(viewer, str(error))
+            viewer.put(_status(f"Invalid message: {error}"))
             return
-        with self._lock:
-            match wanted:
-                case {"op": "subscribe", "subscriptions": list(subscriptions)}:
-                    for subscription in subscriptions:
-                        self._subscribe(viewer, subscription)
-                case {"op": "unsubscribe", "subscriptionIds": list(ids)}:
-                    viewer.channels = {c: number for c, number in viewer.channels.items() if number not in ids}
+        match wanted:
+            case {"op": "subscribe", "subscriptions": list(subscriptions)}:
+                for subscription in subscriptions:
+                    self._subscribe(viewer, subscription)
+            case {"op": "unsubscribe", "subscriptionIds": list(ids)}:
+                viewer.subscriptions = {c: own for c, own in viewer.subscriptions.items() if own not in ids}
         self._on_change()
 
     def _subscribe(self, viewer: _Viewer, subscription: Any) -> None:
         match subscription:
-            case {"id": int(number), "channelId": int(channel)} if 0 <= number < 2**32 and channel in self._channels:
-                if number not in viewer.channels.values():
-                    viewer.channels.setdefault(channel, number)
+            case {"id": int(own), "channelId": int(channel)} if 0 <= own < 2**32 and channel in self._channels:
+                if own not in viewer.subscriptions.values():
+                    viewer.subscriptions.setdefault(channel, own)
             case {"channelId": int(channel)}:
-                self._notify(viewer, _status(f"Unknown channel ID: {channel}"))
+                viewer.put(_status(f"Unknown channel ID: {channel}"))
 
-    def _refuse(self, viewer: _Viewer, why: str) -> None:
-        with self._lock:
-            self._notify(viewer, _status(f"Invalid message: {why}"))
+
+async def _send_all(viewer: _Viewer) -> None:
+    """Send a viewer's messages; only this waits for a slow viewer, and it disconnects one that reads nothing."""
+    with contextlib.suppress(ConnectionClosed):
+        while await viewer.wake.wait():
+            viewer.wake.clear()
+            while viewer.waiting:
+                try:
+                    async with asyncio.timeout(_STALL_S):
+                        await viewer.socket.send(viewer.take())
+                except TimeoutError:
+                    _log.warning("disconnected a viewer that read nothing for %.0f s", _STALL_S)
+                    viewer.socket.transport.abort()
+                    return
+
+
+def _described(number: int, topic: str, schema: Schema) -> dict[str, Any]:
+    if isinstance(schema, dict):
+        words = ("json", schema["title"], "jsonschema", json.dumps(schema))
+    else:
+        words = (schema.encoding, schema.name, schema.encoding, base64.b64encode(schema.data).decode())
+    keys = ("encoding", "schemaName", "schemaEncoding", "schema")
+    return {"id": number, "topic": topic, **dict(zip(keys, words, strict=True))}
+
+
+def _advertisement(channels: dict[int, dict[str, Any]]) -> str:
+    return json.dumps({"op": "advertise", "channels": list(channels.values())})
 
 
 def _status(message: str) -> str:
     return json.dumps({"op": "status", "level": 2, "message": message})
-
-
-_SERVER_INFO: Final = json.dumps({"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}})

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tacshade_edge.cli.parser import Parser
 from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.version import installed_version
@@ -62,7 +61,7 @@ class _Version(argparse.Action):
 
 def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
     """Return the command line's parser and the modules of the wanted commands; only these get their options."""
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         prog="tacshade-edge",
         description="Measure metric shape by touch with TacShade sensors.",
         epilog="tacshade-edge COMMAND --help lists a command's options.",
@@ -72,6 +71,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
     modules = {}
     for name, (module_name, summary) in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        sub.set_defaults(parser=sub)
         if is_wanted(name):
             modules[name] = importlib.import_module(f"tacshade_edge.cli.commands.{module_name}")
             modules[name].add_arguments(sub)

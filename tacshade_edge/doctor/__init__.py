@@ -10,10 +10,9 @@ State = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One result of a check, of which several may share a name.
+    """One result of a check, of which several may share a name; `fix` is empty if all is well.
 
-    With a ``fault`` the daemon cannot work; with a ``warning`` it works, but worse than it could. `fix` says what to
-    do, with the exact command if there is one; it is empty if all is well.
+    With a ``fault`` the daemon cannot work; with a ``warning`` it works, but worse than it could.
     """
 
     check: str
@@ -22,16 +21,16 @@ class Finding:
     fix: str = ""
 
 
+Findings = tuple[Finding, ...]
+
+
 def ok(check: str, found: str) -> Finding:
-    """Return the finding that all is well."""
     return Finding(check, "ok", found)
 
 
 def warning(check: str, found: str, fix: str) -> Finding:
-    """Return the finding that the daemon works, but worse than it could."""
     return Finding(check, "warning", found, fix)
 
 
 def fault(check: str, found: str, fix: str) -> Finding:
-    """Return the finding that the daemon cannot work like this."""
     return Finding(check, "fault", found, fix)

@@ -6,9 +6,7 @@ import importlib.metadata
 import io
 import json
 import os
-import platform
 import re
-import shutil
 import subprocess
 import zipfile
 from collections.abc import Sequence
@@ -16,17 +14,20 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import msgspec
 
 from tacshade_edge.doctor import Finding
+from tacshade_edge.doctor.board import board_facts
+from tacshade_edge.doctor.broker import DaemonState
+from tacshade_edge.doctor.camera import Captured
+from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.protocol.codec import decode_object
 from tacshade_edge.protocol.messages import encode_info
 from tacshade_edge.settings import Document, Settings, to_yaml
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.types import U8
+from tacshade_edge.storage.images import png
 from tacshade_edge.version import installed_version
 
 _LOG_LINES, _LOG_BYTES_MAX, _LOG_S = 2000, 4 << 20, 10.0
@@ -41,16 +42,16 @@ class Seen:
     """Data that the checks collect while they run."""
 
     document: Document | None = None
-    published: dict[str, bytes] = field(default_factory=dict)  # from topic below the daemon's base topic to payload
-    image: U8 | None = None  # the latest frame, (H, W) or (H, W, 3)
+    daemon: DaemonState = field(default_factory=DaemonState)
+    captured: Captured = field(default_factory=Captured)
 
 
 def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
     """Write the zip file whole, with the latest frame, which may be private, only if asked. Raises DeviceError."""
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
-        "versions.json": _json(versions()),
-        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.published.items())}),
+        "versions.json": _json(_versions()),
+        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.daemon.published.items())}),
         "log.txt": _log(),
     }
     secrets: tuple[str, ...] = ()
@@ -62,9 +63,8 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as bundle:
         for name, text in texts.items():
             bundle.writestr(name, without_secrets(text, secrets))
-        if with_frame and seen.image is not None:
-            _, png = cv2.imencode(".png", seen.image)
-            bundle.writestr("frame.png", png.tobytes())
+        if with_frame and seen.captured.images:
+            bundle.writestr("frame.png", png(seen.captured.images[-1]))
     with disk_errors(path.parent):
         write_whole(path, packed.getvalue())
 
@@ -76,28 +76,15 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
     return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
 
 
-def versions() -> dict[str, Any]:
+def _versions() -> dict[str, Any]:
     """Return the versions of this program, its packages and the system, and the machine's size."""
-    release = platform.freedesktop_os_release() if os.path.exists("/etc/os-release") else {}
-    required = importlib.metadata.requires("tacshade-edge") or []
-    names = sorted({re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required})
+    names = {re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in importlib.metadata.requires("tacshade-edge") or []}
+    installed = {each.name: each.version for each in importlib.metadata.distributions()}
     return {
-        "tacshade_edge": installed_version(),
-        "python": platform.python_version(),
-        "packages": {name: _version(name) for name in names},
-        "system": release.get("PRETTY_NAME", platform.system()),
-        "kernel": platform.release(),
-        "machine": platform.machine(),
-        "processors": os.cpu_count(),
+        **board_facts(Machine()),
+        "packages": {name: installed.get(name) for name in sorted(names)},
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
     }
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def _without_user(settings: Settings) -> Settings:
@@ -132,9 +119,7 @@ def _calibration(document: Document) -> dict[str, Any]:
 
 def _log() -> str:
     """Return the service's latest log lines, or why there are none."""
-    if (program := shutil.which("journalctl")) is None:
-        return "no journalctl here\n"
-    command = [program, "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]
+    command = ["journalctl", "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_LOG_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -12,16 +12,13 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
-from tacshade_edge.doctor import Finding, calibration, fault, ok
+from tacshade_edge.doctor import Finding, Findings, calibration, fault, ok
 from tacshade_edge.doctor.board import check_board, check_clock, check_disk
-from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon
+from tacshade_edge.doctor.broker import check_broker, judge_daemon
 from tacshade_edge.doctor.bundle import Seen
 from tacshade_edge.doctor.camera import (
-    Captured,
     capture,
     check_csi,
     check_device,
@@ -34,12 +31,9 @@ from tacshade_edge.doctor.ports import check_serial, check_usb
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
 from tacshade_edge.regular_files import open_regular
-from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load, load_all
+from tacshade_edge.settings import Document, Rpicam, V4l2, load, load_all
 
-T = TypeVar("T")
-Findings = tuple[Finding, ...]
-
-MACHINE_S, NODE_S, CSI_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 3.0, 7.0, 3.0
+MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
 _REPLUG = "unplug the camera and plug it in again; if the problem remains, reboot"
 _AGAIN = "run it again; if nothing changes, reboot; then report it with this line"
@@ -59,29 +53,30 @@ def diagnose(
     seen = Seen() if seen is None else seen
     seen.document = document
     settings = document.settings if document else None
-    deadline_s = time.monotonic() + MACHINE_S
     folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
     robot = (settings.serial.device if settings.serial else None) if settings else ""
-    parts: dict[str, Callable[[], Findings]] = {
-        "serial": lambda: check_serial(machine, robot),
-        "disk": lambda: check_disk(folder, machine),
-        "clock": check_clock,
-        "board": lambda: check_board(machine),
-        "usb": lambda: check_usb(_cameras(document), machine),
-    }
-    broker = start(lambda: _ask_broker(document, machine)) if document and broker_usable else None
-    running = {name: start(check) for name, check in parts.items()}
-    daemon = DaemonState()
-    if broker:
-        findings, daemon = wait_for(broker, deadline_s, _no_broker)
-        seen.published = daemon.published
-        yield from findings
-    for name, check in running.items():
-        yield from wait_for(check, deadline_s, _failed(name, _AGAIN))
+    checks: list[tuple[str, str, Callable[[], Findings]]] = [
+        ("serial", _AGAIN, lambda: check_serial(machine, robot)),
+        ("disk", _AGAIN, lambda: check_disk(folder, machine)),
+        ("clock", _AGAIN, check_clock),
+        ("board", _AGAIN, lambda: check_board(machine)),
+        ("usb", _AGAIN, lambda: check_usb(_cameras(document), machine)),
+    ]
+    if document and broker_usable:
+        fix = "check mqtt.host, the network and the name server"
+        checks.insert(0, ("broker", fix, lambda: _check_broker(document, machine, seen)))
+    deadline_s = time.monotonic() + MACHINE_S
+    running = [(start(job), name, fix) for name, fix, job in checks]
+    for each in running:
+        yield from wait_for(*each, deadline_s)
     if document is None:
-        yield from _limited(lambda: (list_cameras(machine),), NODE_S, _failed("camera", _AGAIN))
-    else:
-        yield from _sensor(document, daemon, machine, seen)
+        yield from _limited("camera", _AGAIN, NODE_S, lambda: (list_cameras(machine),))
+        return
+    found = list(_limited("camera", _REPLUG, NODE_S, lambda: _check_camera(document, machine)))
+    yield from found
+    if not any(finding.state == "fault" for finding in found):
+        yield from _limited("camera frames", _REPLUG, CAPTURE_S, lambda: _check_frames(document, machine, seen))
+    yield from _limited("calibration", _AGAIN, JUDGE_S, lambda: _check_calibration(document, seen))
 
 
 def _cameras(document: Document | None) -> list[V4l2]:
@@ -90,63 +85,36 @@ def _cameras(document: Document | None) -> list[V4l2]:
     return [other.settings.source for other in documents if isinstance(other.settings.source, V4l2)]
 
 
-def _sensor(document: Document, daemon: DaemonState, machine: Machine, seen: Seen) -> Iterator[Finding]:
-    """Check the source, and its frames against the calibration."""
+def _check_camera(document: Document, machine: Machine) -> Findings:
     source = document.settings.source
-    found: Findings = ()
     if isinstance(source, V4l2):
-        found = _limited(partial(check_device, source, machine), NODE_S, _failed("camera", _REPLUG))
-        yield from found
-    elif isinstance(source, Rpicam):
-        found = _limited(partial(check_csi, source), CSI_S, _failed("camera", _AGAIN))
-        yield from found
-    captured = Captured()
-    if not any(finding.state == "fault" for finding in found):
-        captured, found = _limited(lambda: _watch(source, daemon, machine), CAPTURE_S, _no_frames)
-        seen.image = captured.images[-1] if captured.images else None
-        yield from found
-    yield from _limited(lambda: _judge(document, captured), JUDGE_S, _failed("calibration", _AGAIN))
+        return check_device(source, machine)
+    return check_csi(source) if isinstance(source, Rpicam) else ()
 
 
-def _watch(source: Source, daemon: DaemonState, machine: Machine) -> tuple[Captured, Findings]:
-    captured = capture(sources.make_source(source))
+def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
+    source = document.settings.source
+    captured = seen.captured = capture(sources.make_source(source))
     if not isinstance(source, V4l2 | Rpicam):
-        return captured, check_other_source(captured, source.fps)
+        return check_other_source(captured, source.fps)
     silent = "nothing, it is not on this broker" if machine.daemon() else ""
-    return captured, check_frames(source, captured, machine, str(daemon) if daemon.alive else silent)
+    return check_frames(source, captured, machine, str(seen.daemon) if seen.daemon.alive else silent)
 
 
-def _judge(document: Document, captured: Captured) -> Findings:
+def _check_calibration(document: Document, seen: Seen) -> Findings:
     known, findings = calibration.load(document)
-    if known is None or not captured.images:
+    if known is None or not seen.captured.images:
         return findings
-    camera = isinstance(document.settings.source, V4l2 | Rpicam)
-    return (*findings, *calibration.check_images(known, captured.images, camera))
+    is_camera = isinstance(document.settings.source, V4l2 | Rpicam)
+    return (*findings, *calibration.check_images(known, seen.captured.images, is_camera))
 
 
-def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonState]:
+def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:
     sensor_id = document.settings.sensor_id
-    findings, daemon = check_broker(links.broker_address(document), sensor_id)
+    findings, seen.daemon = check_broker(links.broker_address(document), sensor_id)
     if any(finding.state == "fault" for finding in findings):
-        return findings, daemon
-    return (*findings, judge_daemon(daemon, machine.daemon(), sensor_id)), daemon
-
-
-def _no_broker(why: str) -> tuple[Findings, DaemonState]:
-    fix = "check mqtt.host, the network and the name server"
-    return (fault("broker", why, fix),), DaemonState()
-
-
-def _no_frames(why: str) -> tuple[Captured, Findings]:
-    return Captured(), (fault("camera frames", why, _REPLUG),)
-
-
-def _failed(check: str, fix: str) -> Callable[[str], Findings]:
-    return lambda why: (fault(check, why, fix),)
-
-
-def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -> T:
-    return wait_for(start(job), time.monotonic() + limit_s, failed)
+        return findings
+    return (*findings, judge_daemon(seen.daemon, machine.daemon(), sensor_id))
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
@@ -179,9 +147,9 @@ def _fix(config: Path) -> str:
     return "fix that line (config/default.yaml explains every key)"
 
 
-def start(job: Callable[[], T]) -> Future[T]:
-    """Run a job in a thread that does not keep the process alive."""
-    future: Future[T] = Future()
+def start(job: Callable[[], Findings]) -> Future[Findings]:
+    """Run a check in a thread that does not keep the process alive."""
+    future: Future[Findings] = Future()
 
     def work() -> None:
         try:
@@ -193,10 +161,16 @@ def start(job: Callable[[], T]) -> Future[T]:
     return future
 
 
-def wait_for(future: Future[T], deadline_s: float, failed: Callable[[str], T]) -> T:
-    """Return the job's result, or ``failed(why)`` if it raised or did not end by `deadline_s` (``time.monotonic``)."""
+def wait_for(future: Future[Findings], check: str, fix: str, deadline_s: float) -> Findings:
+    """Return what the check found, or a fault if it broke or did not end by `deadline_s` (``time.monotonic``)."""
     try:
         error = future.exception(max(0.0, deadline_s - time.monotonic()))
     except FutureTimeoutError:
-        return failed("no answer in time")
-    return future.result() if error is None else failed(f"the check itself failed: {type(error).__name__}: {error}")
+        return (fault(check, "no answer in time", fix),)
+    if error is None:
+        return future.result()
+    return (fault(check, f"the check itself failed: {type(error).__name__}: {error}", fix),)
+
+
+def _limited(check: str, fix: str, limit_s: float, job: Callable[[], Findings]) -> Findings:
+    return wait_for(start(job), check, fix, time.monotonic() + limit_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,7 @@ def series(text: str) -> Series:
 def test_what_is_told_of_a_sensor() -> None:
     from prometheus_client import CollectorRegistry, generate_latest
 
-    from tacshade_edge.bridge.prometheus import SensorMetrics
-
-    sensors = SensorMetrics([])
+    sensors = prometheus.SensorMetrics([])
     registry = CollectorRegistry()
     registry.register(sensors)
     payload = health()
@@ -72,8 +71,6 @@ def test_what_is_told_of_a_sensor() -> None:
 
 
 def test_a_silent_hand_tells_no_numbers() -> None:
-    from tacshade_edge.bridge import prometheus
-
     now_s = 100.0
     sensors = prometheus.SensorMetrics([], lambda: now_s)
     sensors.hear("tacshade/left/state", b"online", True)
@@ -115,6 +112,25 @@ def test_real_hands_come_before_invented_ones() -> None:
     assert up_of(sensors) == {"other": 1, "real": 0}
     refused = {s.labels["why"]: s.value for f in sensors.collect() for s in f.samples if "refused" in f.name}
     assert refused == {"undecodable": 0, "no_room": SENSORS_MAX, "unknown_topic": 0}
+
+
+def hostile_healths() -> Iterator[bytes]:
+    """Numbers, names and amounts that no daemon reports."""
+    reported = json.loads(health())
+    for key in ("uptime_s", "capture_fps", "source_dropped"):
+        for number in ("-1", "1e308", "1e999", "1" + "0" * 400, "null", '"x"', "[]"):
+            yield json.dumps({**reported, key: "?"}).replace('"?"', number).encode()
+    yield json.dumps({**reported, "frames": {'a"} 1\nforged{x="': 1}}).encode()
+    yield json.dumps({**reported, "frames": {f"k{number}": number for number in range(100_000)}}).encode()
+    yield from (b"{", b"[]", b"\xff", b"[" * 60_000, b"{}", b"0")
+
+
+def test_what_no_daemon_reports_is_refused() -> None:
+    sensors = prometheus.SensorMetrics([])
+    sensors.hear("tacshade/real/health", health(), False)
+    for number, payload in enumerate(hostile_healths()):
+        sensors.hear(f"tacshade/bad{number}/health", payload, False)
+    assert up_of(sensors) == {"real": 1}
 
 
 @pytest.mark.broker

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.cli import COMMANDS, EXIT_CONFIG, main
-from tacshade_edge.cli.parser import Parser
-from tacshade_edge.cli.shared.options import COUNT, FINITE, PORT, POSITIVE, address
+from tacshade_edge.cli.shared.options import COUNT, FINITE, PORT, POSITIVE, address, path
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
@@ -56,32 +55,15 @@ def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("calibrat", "did you mean calibrate?"),
-        ("Doctor", "did you mean doctor?"),
-        ("run --confg x.yaml", "run: error: unrecognized arguments: --confg x.yaml; did you mean --config?"),
-        ("run --confg=x.yaml", "run: error: unrecognized arguments: --confg=x.yaml; did you mean --config?"),
-        ("calibrate --sensr S.yaml --out c.npz", "did you mean --sensor?"),
-        ("bridge foxglov", "did you mean foxglove?"),
-        ("bridge foxglove --brokr h:1", "bridge foxglove: error: unrecognized arguments: --brokr h:1; did you mean"),
-        ("reconstruct --profile acurate --calibration c.npz --out o i.png", "did you mean accurate?"),
-        ("replay x --out y --calibration c --profile auto", "auto, which adapts to the clock"),
-    ],
-)
-def test_the_nearest_word_is_named(capsys: pytest.CaptureFixture[str], words: str, said: str) -> None:
-    assert said in usage(words, capsys)
-
-
-@pytest.mark.parametrize("words", ["xyzzy", "run --xyzzy", "run --config", "bridge foxglove extra"])
-def test_nothing_is_guessed_where_no_word_is_near(capsys: pytest.CaptureFixture[str], words: str) -> None:
-    assert "did you mean" not in usage(words, capsys)
-
-
-@pytest.mark.parametrize(
     "words",
     [
-        *("simulate", "simulate --out x --depth nan", "simulate --out x --seed -1"),
+        *("xyzzy", "run --xyzzy", "run --config", "bridge foxglove extra", "calibrate --sensr S.yaml --out c.npz"),
+        *(
+            "replay x --out y --calibration c --profile auto",
+            "simulate",
+            "simulate --out x --depth nan",
+            "simulate --out x --seed -1",
+        ),
         *("bridge", "bridge rerun", "bridge foxglove --broker mqtt://a", "bridge foxglove --listen a:x"),
         *("dashboard --http 65536", "dashboard --origin hand.example", "dashboard --origin https://h/path"),
         *("record --seconds 1 --name ../a", "record --seconds 4000", "record --seconds 0", "record --seconds soon"),
@@ -106,7 +88,7 @@ def test_nothing_is_guessed_where_no_word_is_near(capsys: pytest.CaptureFixture[
 )
 def test_words_that_do_not_fit_are_usage_errors(capsys: pytest.CaptureFixture[str], words: str) -> None:
     said = usage(words, capsys)
-    assert f"usage: tacshade-edge {words.split()[0]}" in said
+    assert f"usage: tacshade-edge {words.split()[0].replace('xyzzy', '[-h]')}" in said
     assert "Traceback" not in said
 
 
@@ -133,22 +115,16 @@ def test_values(read: Callable[[str], object], good: dict[str, object], bad: tup
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_fits_a_wide_screen(
-    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
+def test_help_fits_a_screen(command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit, match="0"):
         main([command, "--help"])
-    assert len(capsys.readouterr().out.splitlines()) <= 50
+    assert len(capsys.readouterr().out.splitlines()) <= 40
 
 
 def test_a_path_may_begin_at_home(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "/home/somebody")
-    parser = Parser()
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("images", type=Path, nargs="*")
-    found = parser.parse_args(["--out=~/map", "~/a.png", "b~.png"])
-    assert (found.out, found.images) == (Path("/home/somebody/map"), [Path("/home/somebody/a.png"), Path("b~.png")])
+    assert [path("~/map"), path("b~.png")] == [Path("/home/somebody/map"), Path("b~.png")]
 
 
 # A library that works without the interpreter's lock and takes it again in a C++ destructor, for ever.

@@ -74,9 +74,10 @@ def test_a_last_will_is_a_message_too_and_nothing_is_kept_for_a_page_that_is_gon
     for version in (V311, V5):
         with pytest.raises(DecodeError, match="last will"):
             ReadOnly().passed(sent_by_paho(version, lambda client: client.will_set("tacshade/a/req/reference", b"{}")))
-    for hello in (sent_by_paho(V5, lambda _: None, properties=properties), connect(4, flags=0)):
-        with pytest.raises(DecodeError, match="persistent session"):
-            ReadOnly().passed(hello)
+    with pytest.raises(DecodeError, match="persistent session"):
+        ReadOnly().passed(connect(4, flags=0))
+    with pytest.raises(DecodeError, match="properties"):
+        ReadOnly().passed(sent_by_paho(V5, lambda _: None, properties=properties))
 
 
 @pytest.mark.parametrize(
@@ -107,10 +108,10 @@ def test_what_is_not_looking_is_refused(kind: int, flags: int) -> None:
 
 def test_what_is_too_large_is_refused_before_it_is_there() -> None:
     size = packet(8, bytes(PACKET_BYTES_MAX + 1))
-    with pytest.raises(DecodeError, match="expected at most 65536"):
+    with pytest.raises(DecodeError, match="more than 65536 bytes"):
         ReadOnly().passed(size[:8])
     with pytest.raises(DecodeError, match="no MQTT"):
-        ReadOnly().passed(b"\x80\xff\xff\xff\xff")
+        ReadOnly().passed(b"\x80" * 5)
 
 
 @given(st.data())

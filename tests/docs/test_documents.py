@@ -63,7 +63,11 @@ def test_what_it_names_is_there_and_nothing_is_of_a_machine(path: Path) -> None:
 def test_every_check_of_doctor_has_its_row() -> None:
     rows = set(re.findall(r"^\| `([a-z ]+)` \|", (DOCS / "how-to/doctor.md").read_text(), re.MULTILINE))
     code = "".join(path.read_text() for path in Path(tacshade_edge.doctor.__file__).parent.glob("*.py"))
-    made = set(re.findall(r'\b(?:ok|warning|fault|_failed)\(\s*"([a-z ]+)"', code)) | {"settings", "source", "picture"}
+    made = set(re.findall(r'\b(?:ok|warning|fault|_failed)\(\s*"([a-z ]+)"', code)) | {
+        "settings",
+        "source",
+        "broker round trip",
+    }
     assert rows == made
 
 

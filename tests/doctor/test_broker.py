@@ -59,7 +59,7 @@ def test_nothing_listens() -> None:
 
 def test_a_name_without_an_address() -> None:
     finding = trouble(1883, host="no-such-broker.invalid")
-    assert finding.found.startswith("no-such-broker.invalid: the name does not resolve")
+    assert finding.found.startswith("no-such-broker.invalid:1883: the name does not resolve")
     assert finding.fix.endswith("getent hosts no-such-broker.invalid")
 
 
@@ -67,14 +67,6 @@ def test_a_name_without_an_address() -> None:
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
     assert finding.found.endswith("accepts connections but does not answer, so it is not an MQTT broker")
-
-
-@broker_test
-def test_a_port_that_says_nothing_where_tls_is_expected(listener: socket.socket, tmp_path: Path) -> None:
-    with Broker(tmp_path, tls=True) as other:
-        finding = trouble(listener.getsockname()[1], tls_ca=str(other.ca))
-    assert "no answer within" in finding.found
-    assert "Is mqtt.port the broker's TLS port?" in finding.fix
 
 
 @on_mosquitto
@@ -85,10 +77,7 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
         assert findings["broker round trip"].found.startswith("a 38 KB message made the round trip in ")
         assert daemon == DaemonState()
         wait_until(lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself")
-    assert {message.topic for message in seen.messages} == {f"{BASE}/doctor"}, "no last will, no state"
-    with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
-        ask(broker.port)
-        assert not any(message.retain for message in seen.messages)
+    assert {(message.topic, message.retain) for message in seen.messages} == {(f"{BASE}/doctor", False)}
 
 
 @on_mosquitto
@@ -147,7 +136,7 @@ def test_users(tmp_path: Path) -> None:
 @on_mosquitto
 @pytest.mark.parametrize(
     ("option", "found"),
-    [("max_packet_size 20000", "at most 20000 bytes"), ("message_size_limit 10000", "9500 bytes but none of 19000")],
+    [("max_packet_size 20000", "at most 20000 bytes"), ("message_size_limit 10000", "a message of 38000 bytes")],
 )
 def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, found: str) -> None:
     with Broker(tmp_path, more=(option,)) as broker:
@@ -159,8 +148,7 @@ def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, fo
 
 def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
     with HostileBroker(bytes_max=5000, echo=True) as broker:
-        small = ask(broker.port)[0]["broker round trip"]
-    assert "4750 bytes but none of 9500" in small.found
+        assert ask(broker.port)[0]["broker round trip"].state == "warning"
 
 
 @on_mosquitto

@@ -21,10 +21,7 @@ from tacshade_edge.doctor.camera import (
     check_frames,
     check_other_source,
     check_picture,
-    csi_cameras,
     found_cameras,
-    has_csi_receiver,
-    is_csi,
     list_cameras,
     stable_name,
 )
@@ -123,8 +120,6 @@ def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
     plug(machine, "video19", "rpi-hevc-dec")
     plug(machine, "video20", "pispbe-input")
     assert found_cameras(machine) == []
-    assert has_csi_receiver(machine)
-    assert is_csi("/dev/video20", machine)
     assert "CSI" in list_cameras(machine).fix
     (finding,) = check_device(V4l2(), machine)
     assert finding.state == "fault"
@@ -149,14 +144,8 @@ def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.undo()
     rpicam_vid.put_on_path(tmp_path, monkeypatch)
     name = "imx219 [3280x2464 10-bit RGGB]"
-    assert csi_cameras() == {0: name}
     assert name in list_cameras(machine).found
-    assert states(check_csi(Rpicam(sensor_mode="1640:1232"))) == ["ok"]
-    assert states(check_csi(Rpicam(width_px=1600, height_px=1200))) == ["ok"]
-    middle = check_csi(Rpicam())[0]
-    assert middle.state == "warning"
-    assert "640:480 reads 15 % of the sensor" in middle.found
-    assert middle.fix.endswith(": 1640:1232, 3280:2464")
+    assert states(check_csi(Rpicam())) == ["ok"]
     assert states(check_csi(Rpicam(camera=1))) == ["fault"]
     held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
     assert states(check_frames(Rpicam(), held, machine, "streaming")) == ["warning"]

@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 
 from tacshade_edge.cli.shared.dashboard_access import in_url, is_loopback
@@ -17,7 +18,6 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories.links import password_in
 
 POLL_S = 0.1
-_ENDS = (signal.SIGTERM, signal.SIGINT)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,22 +48,12 @@ def run(args: argparse.Namespace) -> int:
     host, port = args.broker
     password = password_in(args.password_file, "--password-file") if args.password_file else None
     broker = BrokerAddress(host=host, port=port, username=args.username, password=password, tls_ca=args.ca_file)
-    # `_serve` waits for the blocked signals, so no handler interrupts other code. Threads started later inherit the
-    # mask; one that a library started before may take a signal, which must not end the process: hence the handlers.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
-    ended = threading.Event()
-    handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in _ENDS}
-    try:
-        start_logging(args.log_level)
-        {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker, ended)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    start_logging(args.log_level)
+    {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker)
     return 0
 
 
-def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
+def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
     need("bridge", "foxglove", "foxglove", "websockets")
     from tacshade_edge.bridge.foxglove import FoxgloveBridge
 
@@ -72,12 +62,12 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.
     bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
     _announce(args, f"ws://{in_url(host)}:{bridge.port}")
     try:
-        _serve(follower, bridge.poll, ended)
+        _serve(follower, bridge.poll)
     finally:
         bridge.stop()
 
 
-def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
+def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     need("bridge", "prometheus", "prometheus_client")
     from prometheus_client import CollectorRegistry
 
@@ -96,20 +86,24 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
         raise ConfigError(f"--listen {host}:{port}: {error.strerror or error}, {expected}") from None
     _announce(args, f"http://{in_url(host)}:{server.server_port}/metrics")
     try:
-        _serve(follower, lambda: None, ended)
+        _serve(follower, lambda: None)
     finally:
         server.stop()
 
 
-def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event) -> None:
+def _serve(follower: Follower, poll: Callable[[], None]) -> None:
+    ended: list[int] = []
     crashes: list[BaseException] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, _: ended.append(number))
     threading.excepthook = lambda hook: crashes.append(hook.exc_value or RuntimeError(hook.exc_type.__name__))
     follower.start()
     try:
-        while signal.sigtimedwait(_ENDS, POLL_S) is None and not ended.is_set():
+        while not ended:
             if crashes:
                 raise crashes[0]
             poll()
+            time.sleep(POLL_S)
     finally:
         follower.stop()
 

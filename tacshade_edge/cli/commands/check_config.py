@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
-from pathlib import Path
 
-from tacshade_edge.cli.shared.options import DEFAULT_CONFIG
+from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_option
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.reasons import Reason
@@ -17,7 +16,7 @@ from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     text = "settings file (default: %(default)s)"
-    parser.add_argument("file", nargs="?", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help=text)
+    add_option(parser, "file", "FILE", text, nargs="?", default=DEFAULT_CONFIG)
     text = "print the JSON Schema of settings files instead of checking a file"
     parser.add_argument("--schema", action="store_true", help=text)
 

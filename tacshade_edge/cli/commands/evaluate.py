@@ -48,18 +48,18 @@ SIMULATED = ("sensors", "objects", "presses", "references")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     files = "evaluation.md, evaluation.csv, evaluation.json and figure6.png"
-    study.add_arguments(parser, "default: all but paper, which takes a second per frame", files)
-    own = parser.add_argument_group("your own frames with labels instead of surfaces (--images, --labels)")
-    text = f"table with an image column and any of the columns {', '.join(labels.COLUMNS)}"
+    study.add_arguments(parser, "default: all but paper, which is slow", files)
+    own = parser.add_argument_group("your own frames with labels instead of surfaces")
+    text = f"table of image and any of {', '.join(labels.COLUMNS)}"
     add_option(own, "--labels", "CSV", text)
-    text = "file that describes the sensor's dimensions and camera, instead of --calibration"
+    text = "the sensor's dimensions, instead of --calibration"
     add_option(own, "--sensor", "SENSOR.yaml", text)
-    text = "with --sensor: images of the untouched skin (default: the least loaded frame)"
+    text = "with --sensor: the untouched skin (default: the least loaded frame)"
     add_option(own, "--reference", "IMG", text, nargs="+")
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
-    text = "number of ball presses in each calibration; 0 is allowed (default: 40)"
+    text = "ball presses in each calibration (default: 40)"
     add_option(simulated, "--presses", "N", text, COUNT)
-    text = "number of reference images in each calibration (default: 8)"
+    text = "references in each calibration (default: 8)"
     add_option(simulated, "--references", "N", text, COUNT)
 
 

@@ -55,35 +55,33 @@ _VARIED_MM, _VARIED_DEG = 0.4, 6.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_option(parser, "--out", "DIR", "folder for images, ground truth (.npz) and scenes.csv")
-    text = f"one or more of {', '.join(OBJECTS)}, none (default: the paper's five)"
+    text = "objects to press, such as ball,none (default: the paper's five)"
     add_option(parser, "--objects", "NAME,...", text, str, default=",".join(PAPER_OBJECTS))
     for name, metavar, default, text in (
-        ("--depth", "MM", 3.0, "press depths in mm (default: 3)"),
-        ("--rotation", "DEG", 0.0, "rotation of the object about z in degrees (default: 0)"),
-        ("--twist", "DEG", 0.0, "rotation of the object about z in degrees after contact (default: 0)"),
+        ("--depth", "MM", 3.0, "depths in mm (default: 3)"),
+        ("--rotation", "DEG", 0.0, "rotations about z in degrees (default: 0)"),
+        ("--twist", "DEG", 0.0, "rotations about z in degrees after contact (default: 0)"),
     ):
         add_option(parser, name, metavar, text, FINITE, nargs="+", default=[default])
     for name, text in (
         ("--position", "the object's position in mm"),
-        ("--drag", "distance in mm to drag the object along the skin after contact"),
-        ("--tilt", "tilt of the object in degrees, first about x, then about y"),
+        ("--drag", "drag along the skin after contact in mm"),
+        ("--tilt", "tilt about x, then y in degrees"),
     ):
         text += "; may be repeated (default: 0 0)"
         parser.add_argument(name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text)
-    text = "write a calibration set (images of the untouched skin and of ball presses) to this folder"
+    text = "folder for images of the untouched skin and of ball presses"
     add_option(parser, "--calibration-set", "DIR", text)
-    add_option(
-        parser, "--presses", "N", "number of ball presses in the calibration set (default: 40)", COUNT, default=40
-    )
-    text = "simulate presses that cover a touchpad, and write their images, poses and ground truth to this folder"
+    add_option(parser, "--presses", "N", "ball presses in the calibration set (default: 40)", COUNT, default=40)
+    text = "folder for presses that cover a touchpad, with poses and truth"
     add_option(parser, "--pad", "DIR", text)
-    text = "distance between presses on the touchpad in mm (default: 4)"
+    text = "distance between the pad's presses in mm (default: 4)"
     add_option(parser, "--pad-step", "MM", text, FINITE, default=4.0)
-    text = "press depth in mm below the tops of the touchpad's bulges (default: 2.7)"
+    text = "depth below the tops of the pad's bulges in mm (default: 2.7)"
     add_option(parser, "--pad-depth", "MM", text, FINITE, default=2.7)
     parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt from press to press")
-    add_option(parser, "--seed", "N", "random seed for the noise and the presses (default: 0)", COUNT, default=0)
-    add_option(parser, "--sensor-seed", "N", "simulate another sensor of the family, drawn with this seed", COUNT)
+    add_option(parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0)
+    add_option(parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -23,9 +23,8 @@ AT_ONCE: Final = 10
 PERIOD_S: Final = 10.0
 """Limit on what says the same but for its numbers: AT_ONCE in a burst, then one per PERIOD_S."""
 
-_TEXTS_MAX: Final = 16
-"""Texts of one format that are told apart; what more it says counts as one."""
-_FORMATS_MAX: Final = 256
+_KINDS_MAX: Final = 128
+"""Texts that are told apart; any further text of a format counts as one until a quiet text is forgotten."""
 _TEXT_CHARS_MAX: Final = 200
 _NUMBER: Final = re.compile(r"(?<![\w/.:-])\d+(?:\.\d+)?(?![\w/:-]|\.\d)")
 
@@ -67,59 +66,44 @@ class _Kind:
     at_s: float
     left_out: int = 0
 
+    def free_at(self, now_s: float) -> float:
+        return min(AT_ONCE, self.free + (now_s - self.at_s) / PERIOD_S)
+
 
 class Limit:
     """Decides which messages are too many. Not thread-safe: its handler's lock guards it."""
 
     def __init__(self) -> None:
-        self._formats: dict[tuple[str, str], dict[str, _Kind]] = {}
+        self._kinds: dict[Text, _Kind] = {}
 
     def passes(self, text: Text, now_s: float) -> bool:
         """Whether to log one more message that says this; if not, count it as left out."""
-        name, form, said = text
-        if (name, form) not in self._formats and len(self._formats) >= _FORMATS_MAX:
-            form = said = ""
-        kinds = self._formats.setdefault((name, form), {})
-        if said not in kinds and len(kinds) >= _TEXTS_MAX:
-            for quiet in [key for key, state in kinds.items() if not state.left_out and _free(state, now_s) >= AT_ONCE]:
-                del kinds[quiet]
-            said = form if len(kinds) >= _TEXTS_MAX else said
-        state = kinds.setdefault(said, _Kind(AT_ONCE, now_s))
-        state.free, state.at_s = min(AT_ONCE, _free(state, now_s)), now_s
-        if state.free < 1:
-            state.left_out += 1
+        name, form, _ = text
+        if len(self._kinds) >= _KINDS_MAX and text not in self._kinds:
+            kept = {key: kind for key, kind in self._kinds.items() if kind.left_out or kind.free_at(now_s) < AT_ONCE}
+            self._kinds = kept
+        room = ((text, _KINDS_MAX), ((name, form, form), 2 * _KINDS_MAX), (("", "", ""), sys.maxsize))
+        key = next(key for key, most in room if key in self._kinds or len(self._kinds) < most)
+        kind = self._kinds.setdefault(key, _Kind(AT_ONCE, now_s))
+        kind.free, kind.at_s = kind.free_at(now_s), now_s
+        if kind.free < 1:
+            kind.left_out += 1
             return False
-        state.free -= 1
+        kind.free -= 1
         return True
 
     def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
         """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
-        over = [
-            (name, said, state)
-            for (name, _), kinds in self._formats.items()
-            for said, state in kinds.items()
-            if state.left_out and (all_of_them or _free(state, now_s) >= 1)
-        ]
-        counts = [(name, said, state.left_out) for name, said, state in over]
-        for _, _, state in over:
-            state.left_out = 0
+        counts = []
+        for (name, _, said), kind in self._kinds.items():
+            if kind.left_out and (all_of_them or kind.free_at(now_s) >= 1):
+                counts.append((name, said, kind.left_out))
+                kind.left_out = 0
         return counts
 
 
-def _free(state: _Kind, now_s: float) -> float:
-    return state.free + (now_s - state.at_s) / PERIOD_S
-
-
 class OneLineHandler(logging.StreamHandler[TextIO]):
-    """Writes ``LEVEL name: message`` to stderr.
-
-    Parameters
-    ----------
-    stamped : bool
-        Whether the local time, to 1 ms and with its zone, precedes the level.
-    of : str
-        A word before the message, made of letters, digits, - and _.
-    """
+    """Writes ``LEVEL name: message`` to stderr, after the time if `stamped`; `of` is a word before the message."""
 
     def __init__(self, *, stamped: bool = False, of: str = "") -> None:
         super().__init__()
@@ -131,7 +115,8 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         """Write a message, or count it as left out."""
         now_s = time.monotonic()
         self._report(now_s)
-        if self._limit.passes(_text(record), now_s):
+        said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])  # without counts and measurements
+        if self._limit.passes((record.name, str(record.msg), said), now_s):
             super().emit(record)
 
     def close(self) -> None:
@@ -143,12 +128,6 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         for name, message, count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
             text = "left out %d more lines like this: %s"
             super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))
-
-
-def _text(record: logging.LogRecord) -> Text:
-    """What a message says, with # for a number that stands alone, as counts and measurements do."""
-    said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])
-    return record.name, str(record.msg), said
 
 
 class _Escaping(logging.Formatter):

@@ -30,7 +30,12 @@ def need(what: str, extra: str, *packages: str) -> None:
             raise ConfigError(f"{what}: the package {package} is not installed; to install it: {how_to_install(extra)}")
 
 
-def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = Path, **more: Any) -> None:
+def path(text: str) -> Path:
+    """Read a path; a shell leaves the ~ of --out=~/map."""
+    return Path(text).expanduser()
+
+
+def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = path, **more: Any) -> None:
     """Declare an option of a parser or a group of options; its value is a path unless `kind` reads another."""
     to.add_argument(name, type=kind, metavar=metavar, help=text, **more)
 

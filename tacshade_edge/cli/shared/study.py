@@ -40,23 +40,22 @@ def objects(text: str) -> tuple[str, ...]:
 
 def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) -> None:
     """Declare the options of every study; their help quotes `profiles`, the default, and `files`, those written."""
-    text = f"one or more of {', '.join(PROFILES)} ({profiles})"
+    text = f"{', '.join(PROFILES)} ({profiles})"
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), metavar="NAME", help=text)
     add_option(parser, "--out", "DIR", f"folder for {files}")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
     add_option(own, "--calibration", "CAL.npz", "from `calibrate`")
-    text = "folder of images and their ground truth; STEM.npz is the ground truth for an image named STEM"
+    text = "folder of images, each with its ground truth, STEM.npz"
     add_option(own, "--images", "DIR", text)
-    parser.set_defaults(parser=parser)
 
 
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
-    text = f"seeds of the sensors to simulate; 'default' selects the standard sensor (default: {sensor_names})"
+    text = f"seeds of the sensors, or 'default' for the standard one (default: {sensor_names})"
     add_option(group, "--sensors", "SEED,...", text, sensors)
-    text = f"one or more of {', '.join(OBJECTS)} (default: {object_names})"
+    text = f"objects to press, such as ball,cube (default: {object_names})"
     add_option(group, "--objects", "NAME,...", text, objects)
     return group
 
