@@ -18,7 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import foxglove
 from websockets.asyncio.server import ServerConnection, serve
@@ -45,7 +45,7 @@ _MESSAGE: Final = struct.Struct("<BIQ")
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 _SERVER_INFO: Final = json.dumps({"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}})
 
-Schema = foxglove.Schema | dict[str, Any]
+Schema: TypeAlias = foxglove.Schema | dict[str, Any]
 """The SDK's schema, or a JSON Schema with a title."""
 
 
