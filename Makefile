@@ -7,7 +7,7 @@
 # make image   the container image tacshade-edge, by podman (IMAGE_TOOL=docker: by docker)
 # make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
 # make test    everything, with the real broker and a guest with a real kernel's video devices
-# make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
+# make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
 # make faults  the table of docs/explanation/reliability.md; 4 minutes
 PYTHON ?= python3

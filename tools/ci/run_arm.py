@@ -5,18 +5,15 @@
 
     python3 -m tools.ci.run_arm [--python 3.11 3.13] [--skip-quick | --count-only]
 
-For each Python: the wheels of the lock, one frame after the other against this machine's, a minute of the daemon, maps
-by the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the
-instructions of a frame, and what they would take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when
-something failed.
+For each Python: the wheels of the lock, one frame after the other against this machine's, maps by the command of its
+Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the instructions of a frame, and
+what they would take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when something failed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -24,14 +21,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.rig.arm64 import instructions_each
-from tools.testbed.daemon_rig import BASE
 from tools.testbed.mqtt_rig import Broker
 
 TREE = Path(__file__).resolve().parents[2]
@@ -40,7 +34,6 @@ GIVEN = Path(".rig/arm")  # below the tree, which is another folder there
 PYTHONS = ("3.11", "3.13")
 QUICK = "not guest and not broker and not slow and not browser"
 WORKERS = str(os.cpu_count() or 1)
-DAEMON_S, FPS = 60, 5
 HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
 """Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, and
 its floats are rounded to codes."""
@@ -80,54 +73,6 @@ def same_frames(python: str) -> list[str]:
     print(
         markdown(["profile", "other white, px per million", "h, mm at most", "other contact, cells per million"], rows)
     )
-    return wrong
-
-
-def daemon(python: str) -> list[str]:
-    """Run the command `run` for a minute on this machine's broker; return the problems."""
-    health: list[dict[str, dict[str, int]]] = []
-    with tempfile.TemporaryDirectory() as folder, Broker(Path(folder)) as broker:
-        config = TREE / GIVEN / "run.yaml"
-        config.write_text(
-            f"sensor_id: {BASE.rpartition('/')[2]}\ncalibration: calibration.npz\nprofile: fast\n"
-            f"source: {{kind: files, path: images, fps: {FPS}, loop: true}}\n"
-            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\nstitching: {{folder: /tmp/maps}}\n"
-        )
-        client = Client(CallbackAPIVersion.VERSION2)
-        seen = 0
-
-        def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
-            nonlocal seen
-            if message.topic.endswith("/health"):
-                health.append(json.loads(message.payload))
-            else:
-                seen += 1
-
-        client.on_message = on_message
-        client.connect("127.0.0.1", broker.port)
-        client.subscribe([(f"{BASE}/health", 0), (f"{BASE}/height", 0)])
-        client.loop_start()
-        words = (*ARM, "--python", python, "python3", "-m", "tacshade_edge", "run", "--config", str(GIVEN / "run.yaml"))
-        child = subprocess.Popen(words, cwd=TREE)
-        try:
-            began_s = time.monotonic()
-            while not health and time.monotonic() - began_s < 10 * DAEMON_S and child.poll() is None:
-                time.sleep(0.5)
-            time.sleep(DAEMON_S)
-            child.send_signal(signal.SIGTERM)
-            code = child.wait(DAEMON_S)
-        finally:
-            if child.poll() is None:
-                child.kill()
-            client.loop_stop()
-    frames = health[-1]["frames"] if health else {}
-    print(f"daemon: {frames}, {seen} height maps received, exit status {code}")
-    wrong = [] if code == 0 else [f"the daemon ended with {code}"]
-    # The emulation limits how many frames it manages; the daemon must account for every one.
-    if not seen or frames["captured"] != sum(n for outcome, n in frames.items() if outcome != "captured"):
-        wrong.append("frames are not accounted for")
-    if frames.get("published") != seen:
-        wrong.append(f"{frames.get('published', 0)} frames were published, {seen} maps received")
     return wrong
 
 
@@ -188,9 +133,7 @@ def main() -> int:
         subprocess.run((sys.executable, "-m", "tools.ci.arm_frames", *words), cwd=TREE, check=True)
     wrong = []
     for python in [] if args.count_only else args.python:
-        stages = {"frames": same_frames, "daemon": daemon, "package": package} | (
-            {} if args.skip_quick else {"quick": quick}
-        )
+        stages = {"frames": same_frames, "package": package} | ({} if args.skip_quick else {"quick": quick})
         for name, stage in stages.items():
             began_s = time.monotonic()
             print(f"\n--- Python {python}: {name}", flush=True)

@@ -26,7 +26,7 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calib
 TREE = Path(__file__).resolve().parents[2]
 GIVEN, OUT = TREE / ".rig/given", TREE / ".rig/out"
 PROFILE = "fast"
-SILENT_S = 300
+SILENT_S = 600
 """It boots beside all other tests."""
 # Without plugins that take half a minute to import there.
 PYTEST = ("pytest", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:hypothesispytest", "--tb=native")

@@ -38,12 +38,12 @@ ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 took 24 s of processor time with them and takes 8 s without."""
 BESIDE = ("lint", "guest")
 """Run one after the other beside the rest, whose tests wait now and then; each shows its output when it is over. Alone,
-the guest would leave half of two cores idle."""
+the guest would leave half of two cores idle; it is nice to the tests that a browser or a clock hurries."""
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, *SPREAD, "-m", QUICK),
     "tests": (*PYTEST, *SPREAD, "-m", ALL, "--durations=20", "--durations-min=5"),
-    "guest": (sys.executable, "-m", "tools.ci.run_guest"),
+    "guest": ("nice", "-n", "5", sys.executable, "-m", "tools.ci.run_guest"),
 }
 """The quick tests are among the `tests`: each worker imports 400 files once, not twice."""
 GUESTS_RESULTS = TREE / ".rig/out/results.xml"
