@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -77,14 +78,8 @@ class Terminal:
     def show(self, text: str) -> None:
         """Show a line that the next one replaces; only if the output is a terminal."""
         if self._is_live and text != self._shown:
-            print(f"{_CLEAR}{text[: self._columns() - 1]}", end="", file=self._out, flush=True)
+            print(f"{_CLEAR}{text[: shutil.get_terminal_size().columns - 1]}", end="", file=self._out, flush=True)
             self._shown = text
-
-    def _columns(self) -> int:
-        try:
-            return os.get_terminal_size(self._out.fileno()).columns or 80
-        except OSError:
-            return 80
 
 
 # The picture counts as still after `STILL_S` without motion, judged from as many frames as motion at rest is.

@@ -25,7 +25,7 @@ Name = tuple[str, str]
 
 
 class _Held:
-    """A sensor with ``flange_T_sensor`` that a robot holds."""
+    """A sensor that a robot holds."""
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
         self._skin_radius_mm = sensor.skin_radius_mm

@@ -29,12 +29,10 @@ from tacshade_edge.protocol.results import (
 from tacshade_edge.protocol.serial.clock_sync import ClockSync, SyncState
 from tacshade_edge.protocol.serial.commands import (
     Command,
-    PortOpened,
-    PosesMissing,
-    SyncChanged,
     TouchAsked,
     TouchSeen,
     parse_touch,
+    ready_text,
     too_slow,
 )
 from tacshade_edge.protocol.serial.framing import Mode
@@ -385,7 +383,7 @@ class SerialChannel:
             self._away_ms += away_ms
             self._lost_ns = None
         self._set_state(PortState("open", None, self._port.describe()))
-        self._link.notify(PortOpened(away_ms))
+        self._link.notify(ready_text(away_ms))
 
     def _turn(self) -> bool:
         """Wait once for bytes and handle all that they cause; return whether some came."""
@@ -411,7 +409,7 @@ class SerialChannel:
 
     def _send_events(self, now_ns: int) -> None:
         if self._missing and now_ns - self._gap_sent_ns >= GAP_PERIOD_NS:
-            self._link.notify(PosesMissing(self._missing))
+            self._link.notify(f"GAP poses={self._missing}")
             if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
                 self._gap_logged_ns = now_ns
                 _log.info("lost %d poses so far, judging by gaps in the sequence numbers", self._link.counts.poses_lost)
@@ -419,7 +417,7 @@ class SerialChannel:
         sync = self._motion.state()
         if sync.mode != self._sent_sync:
             self._sent_sync = sync.mode
-            self._link.notify(SyncChanged(sync.mode, sync.error_us))
+            self._link.notify(f"SYNC mode={sync.mode} error_us={sync.error_us}")
             _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
 
     def _send_touch(self) -> None:
@@ -427,7 +425,7 @@ class SerialChannel:
         if time.monotonic() < self._write_after_s or self._port.unsent() >= LINE_BYTES_MAX:
             return
         if (seen := self._commands.touch.take()) is not None:
-            self._link.notify(seen)
+            self._link.notify(seen.text())
 
     def _write(self) -> None:
         data = self._link.take_output()

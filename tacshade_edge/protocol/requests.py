@@ -93,9 +93,8 @@ _BODIES: Final[dict[Verb, Any]] = {
 class Request:
     """One command from ``req/<verb>``; fields that its verb does not have are empty.
 
-    `transaction` is the caller's own mark, echoed in the reply. MQTT 5's `response_topic`, ``res/...`` below the
-    sensor's topics, replaces ``res/<verb>``, and the reply also echoes `correlation`. Without a `name`, the daemon
-    names the recording or session itself. `format` is that of the recording to start, `text` that of a mark.
+    The reply echoes `transaction` and MQTT 5's `correlation`; `response_topic`, ``res/...`` below the sensor's topics,
+    replaces ``res/<verb>``. Without a `name`, the daemon names the recording or session itself.
     """
 
     verb: Verb

@@ -235,12 +235,7 @@ FINGERS_MAX: Final = 32
 class Unobservable:
     """A motion that the fingers cannot observe: a rotation about a line, or a translation along it.
 
-    Attributes
-    ----------
-    axis : 3 floats
-        Unit vector.
-    through_mm : 3 floats or None
-        A point on the line of rotation; None for a translation.
+    `axis` is a unit vector, `through_mm` a point on the line of rotation, None for a translation.
     """
 
     axis: Triple
@@ -251,20 +246,10 @@ class Unobservable:
 class Motion:
     """The motion of the held object since the grasp: a point at p has moved to R (p - about) + about + translation.
 
-    Attributes
-    ----------
-    since_ns : int
-        Capture time of the frame in which the hand grasped the object.
-    about_mm, translation_mm : 3 floats
-        A point amid the fingers' patches, and how far it has moved.
-    rotation_deg : 3 floats
-        Rotation vector of R.
-    covariance : 36 floats
-        6x6, row by row, of `translation_mm` and of a small rotation in degrees applied after R.
-    unobservable : tuple of Unobservable
-        Motions that are 0 in the estimate and large in the covariance.
-    left_out : tuple of str
-        Fingers over which the object slips.
+    `since_ns` is the capture time of the frame in which the hand grasped the object, `about_mm` a point amid the
+    fingers' patches, `rotation_deg` the rotation vector of R, `covariance` 6x6, row by row, of `translation_mm` and of
+    a small rotation in degrees applied after R. `unobservable` motions are 0 in the estimate and large in the
+    covariance. The object slips over the fingers in `left_out`.
     """
 
     since_ns: Count
@@ -280,24 +265,11 @@ class Motion:
 class HandObject:
     """An object that a finger touches; all lengths in mm, all vectors along the hand's axes.
 
-    Attributes
-    ----------
-    id : int or None
-        Constant while this finger touches the object.
-    centroid_mm, extent_mm : 3 floats
-        Mean, and max - min, of the skin points that touch the object.
-    normal : 3 floats
-        Unit normal of the plane through these points, pointing away from the finger's camera.
-    depth_max_mm, area_mm2 : float
-    shear_mm : 3 floats or None
-        Mean shear of the skin under the object, in the finger's x, y plane; None if not reported.
-    twist_deg : float or None
-        Twist about the finger's own z axis.
-    slip : int or None
-        0 stick, 1 partial, 2 full.
-    slip_mm_s : float or None
-    motion : Motion or None
-        Motion of the object that the whole hand holds; None if no shear is reported, and from a finger to its hand.
+    `id` stays while this finger touches the object. `centroid_mm` and `extent_mm` are the mean, and max - min, of the
+    skin points that touch it, `normal` the unit normal of the plane through them, away from the finger's camera.
+    `shear_mm` is the mean shear of the skin under the object, in the finger's x, y plane, `twist_deg` the twist about
+    the finger's z axis, `slip` 0 stick, 1 partial, 2 full; each is None if not reported. `motion` is that of the object
+    that the whole hand holds; None if no shear is reported, and from a finger to its hand.
     """
 
     id: int | None
@@ -317,24 +289,12 @@ class HandObject:
 class Finger:
     """A finger's latest report.
 
-    Attributes
-    ----------
-    state : str
-        ``contact``, ``free``, or ``away``: its contacts are unknown, and `reason_code` gives the reason.
-    t_ns : int or None
-        Capture time of its frame, on the clock that all fingers share; None if the report is not from a frame.
-    age_ms : float or None
-        Age of the frame when the hand published it.
-    seq : int or None
-        Sequence number of the frame.
-    reason_code, degraded_code : str
-        Codes of `reasons.ReasonCode`; empty when all is well.
-    axis : 3 floats or None
-        The finger's z axis: shear is perpendicular to it, twist is about it. None if the report is not from a frame.
-    margin : float or None
-        Smallest margin of its objects, 1 firm to 0 sliding; None without contact, or if no shear is reported.
-    objects : tuple of HandObject
-        Largest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
+    `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. The codes are those of
+    `reasons.ReasonCode`, empty when all is well. `t_ns` is the capture time of its frame, on the clock that all fingers
+    share, `seq` its number, `age_ms` its age when the hand published it, `axis` the finger's z axis: shear is
+    perpendicular to it, twist is about it. These are None if the report is not from a frame. `margin` is the smallest
+    of its objects, 1 firm to 0 sliding; None without contact, or if no shear is reported. `objects` are the largest
+    first, at most `OBJECTS_MAX`.
     """
 
     state: FingerState
@@ -350,16 +310,10 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandObjects:
-    """One ``objects`` message: every finger of the hand, by sensor id.
+    """One ``objects`` message: every finger of the hand, by sensor id, in the order of the settings.
 
-    Attributes
-    ----------
-    t_ns, wall_ns : int
-        When the message was assembled, on the fingers' clock and in Unix time.
-    seq : int
-        Number of the message, counted from 0 since the hand's process started.
-    fingers : dict of str to Finger
-        Fingers in the order of the settings.
+    `t_ns` and `wall_ns` are when it was assembled, on the fingers' clock and in Unix time; `seq` counts from 0 since
+    the hand's process started.
     """
 
     t_ns: Count

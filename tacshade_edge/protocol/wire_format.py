@@ -47,19 +47,9 @@ _POINT_BYTES, _LABEL_BYTES = 12, 2
 class _Message:
     """The fields of every kind.
 
-    Attributes
-    ----------
-    seq : int
-        Frame number modulo 2^32.
-    calibration_crc32 : int
-    t_ns, wall_ns : int
-        Capture time in ns: the sender's CLOCK_MONOTONIC, and Unix time.
-    contact, invalid, saturated, degraded : bool
-        As in `Reconstruction`; the reasons are in ``health`` and ``status/camera``.
-    pose : Pose or None
-        ``base_T_flange`` at `t_ns`.
-    pose_error_us : int
-        Uncertainty in µs of the time of the pose; 0 without a pose.
+    `seq` is the frame number modulo 2^32; `t_ns` and `wall_ns` are the capture time, on the sender's CLOCK_MONOTONIC
+    and in Unix time. The reasons of the flags are in ``health`` and ``status/camera``. `pose` is ``base_T_flange`` at
+    `t_ns`, and `pose_error_us` the uncertainty of its time, 0 without a pose.
     """
 
     seq: int
@@ -85,12 +75,8 @@ class _GridMessage(_Message):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMessage(_GridMessage):
-    """A decoded ``height``.
-
-    Attributes
-    ----------
-    height_mm : float32 (rows, cols)
-        Radial deformation in mm, positive inwards, in steps of the scale; NaN outside the disc. Read-only.
+    """A decoded ``height``: `height_mm`, read-only float32 (rows, cols), is the radial deformation, positive inwards,
+    in steps of the scale; NaN outside the disc.
     """
 
     height_mm: F32
@@ -98,14 +84,8 @@ class HeightMessage(_GridMessage):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudMessage(_Message):
-    """A decoded ``cloud``.
-
-    Attributes
-    ----------
-    points_mm : float32 (N, 3)
-        x, y, z in the sensor frame, in mm. Read-only.
-    labels : uint16 (N,)
-        Object number of each point, from 1. Read-only.
+    """A decoded ``cloud``: `points_mm`, read-only float32 (N, 3), are x, y, z in the sensor frame; `labels`, read-only
+    uint16 (N,), are the object number of each point, from 1.
     """
 
     points_mm: F32
@@ -114,12 +94,8 @@ class CloudMessage(_Message):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearMessage(_GridMessage):
-    """A decoded ``shear``.
-
-    Attributes
-    ----------
-    shear_mm : float32 (rows, cols, 2)
-        Shear of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
+    """A decoded ``shear``: `shear_mm`, read-only float32 (rows, cols, 2), is the shear of the skin along x and y, in
+    steps of the scale; NaN outside the disc.
     """
 
     shear_mm: F32
@@ -127,12 +103,8 @@ class ShearMessage(_GridMessage):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SigmaMessage(_GridMessage):
-    """A decoded ``sigma``.
-
-    Attributes
-    ----------
-    sigma_mm : float32 (rows, cols)
-        Standard deviation of the height in mm, in steps of the scale; NaN where nothing touches. Read-only.
+    """A decoded ``sigma``: `sigma_mm`, read-only float32 (rows, cols), is the standard deviation of the height, in
+    steps of the scale; NaN where nothing touches.
     """
 
     sigma_mm: F32

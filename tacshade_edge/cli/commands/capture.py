@@ -175,16 +175,13 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         return source, document.settings.serial
     if device is None:
         machine = Machine()
-        cameras = found_cameras(machine)
-        if not cameras and len(numbers := list(csi_cameras())) == 1:
-            return Rpicam(camera=numbers[0]), None
-        if len(cameras) > 1:
-            raise ConfigError(f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}")
-        if not cameras and has_csi_receiver(machine):
-            raise ConfigError(f"found no USB camera; {CSI_FIX}")
-        if not cameras:
-            expected = "expected one (lsusb lists it if USB sees it), or --config with a source"
-            raise ConfigError(f"found no camera, {expected}")
+        cameras, csi = found_cameras(machine), list(csi_cameras())
+        if not cameras and len(csi) == 1:
+            return Rpicam(camera=csi[0]), None
+        if len(cameras) != 1:
+            fix = f"; {CSI_FIX}" if not cameras and has_csi_receiver(machine) else ""
+            found = ", ".join(cameras) or "no camera"
+            raise ConfigError(f"found {found}, expected one, or --camera DEVICE, or --config with a source{fix}")
         device = cameras[0]
     v4l2_node.check_node(device)
     offered = v4l2_node.formats(device)

@@ -1,13 +1,9 @@
 """Frames of a Raspberry Pi's own (CSI, ribbon cable) camera: the program ``rpicam-vid`` writes them into a pipe.
 
-Only libcamera supports these cameras, and OpenCV does not support libcamera; ``rpicam-vid`` comes with the board's
-system. It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a metadata
-record into a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, and the actual exposure and gain
-of the frame. So frames and records come in pairs, and the next record reveals a stream that is out of step.
-
-Limits. The program does not report the line length: it equals the width if that is a multiple of 64, and no other
-width is requested. A sensor's time stamp is the start of its first line's exposure, on the clock that continues while
-a board sleeps; a board never suspended has one clock. White balance is fixed, since it precedes the grey image.
+It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a metadata record into
+a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, exposure and gain. The next record reveals a
+stream that is out of step. The program does not report the line length, which equals the width if that is a multiple of
+64. White balance is fixed, since it precedes the grey image.
 """
 
 from __future__ import annotations

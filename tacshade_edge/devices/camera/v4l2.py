@@ -1,16 +1,12 @@
 """Camera frames through OpenCV's V4L2 backend.
 
-OpenCV reports a device as open although it delivers no frames, silently accepts a format other than the requested
-one, and provides no sequence numbers. So this module checks a node before opening it, reads every setting back, and
-takes only a frame that was read as proof of a camera.
+OpenCV reports a device as open although it delivers no frames, silently accepts another format than the requested one,
+and provides no sequence numbers. So this module checks a node before opening it, reads every setting back, and takes
+only a frame that was read as proof of a camera. OpenCV hides the kernel's error flag of a buffer; only its length or
+the JPEG decoder reveals a damaged frame.
 
-Limits. OpenCV hides the kernel's error flag of a buffer; only its length or the JPEG decoder reveals a damaged frame.
-OpenCV returns a raw buffer to the driver just before copying it: a reader that lags behind by all the buffers can see
-lines of the next frame in it.
-
-Time stamps. A driver may stamp a frame with the computed end of the frame, up to a period ahead of the clock (the
-kernel's test driver does, USB cameras by a little). Such a stamp still identifies the clock and reveals gaps, but a
-frame is never dated after its arrival.
+A driver may stamp a frame up to a period ahead of the clock (USB cameras by a little). Such a stamp still identifies
+the clock and reveals gaps, but a frame is never dated after its arrival.
 """
 
 from __future__ import annotations
@@ -39,15 +35,11 @@ _UNDECODABLE_MAX = 30  # in a row: about a second at 30 fps
 
 
 class V4l2Source(Camera):
-    """A V4L2 camera; frames are grey, the luma that the camera sent.
+    """A V4L2 camera; frames are grey, the luma that the camera sent, never rescaled from the video range.
 
-    The luma of YUYV, NV12 and GREY is passed on unchanged, never rescaled from the video range; MJPG is decoded to
-    grey. Exposure and white balance are locked if the driver has the controls.
-
-    `device`: path of the node, preferably under /dev/v4l/by-id: numbers change when cables are moved. `fps`: requested
-    rate; the driver may choose another. `describe` reports the stated and the measured rate. `fourcc`: MJPG, YUYV, NV12
-    or GREY. `exposure`: in the driver's unit (100 µs for USB cameras); None keeps its value. Automatic exposure is off
-    either way. Raises ConfigError (the arguments suit no camera).
+    Exposure and white balance are locked if the driver has the controls. `fps`: requested rate; the driver may choose
+    another. `fourcc`: one of `FOURCCS`. `exposure`: in the driver's unit (100 µs for USB cameras); None keeps its
+    value. Raises ConfigError (the arguments suit no camera).
     """
 
     def __init__(
@@ -69,9 +61,8 @@ class V4l2Source(Camera):
         """Check the node, negotiate, lock the controls, and read one frame for the next `read` to return.
 
         Raises DeviceError (the device is absent, does not capture, is busy, or delivers no frame), ConfigError (the
-        path exists but is no video device; or the device chose another format, size or exposure: drivers choose these
-        by the request alone, so repeating it cannot help. A configuration that has worked raises DeviceError instead:
-        then the device has changed).
+        path is no video device, or the device chose another format, size or exposure; DeviceError if this configuration
+        has worked before).
         """
         self.close()
         try:
@@ -206,11 +197,8 @@ class V4l2Source(Camera):
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
-    """Decode one buffer of a camera into a grey image.
-
-    `raw` (uint8 (N,)): the bytes that the driver filled. `fourcc`: MJPG, YUYV, NV12 or GREY. Returns (uint8 (height_px,
-    width_px), or None): none if the bytes are not one whole image of that size. A JPEG must contain its end marker;
-    damage between the markers can go unnoticed, as the decoder paints over it.
+    """Decode one buffer (N,) of a camera into a grey image (height_px, width_px); None if it is not one whole image of
+    that size. Damage between a JPEG's markers can go unnoticed, as the decoder paints over it.
     """
     if fourcc == "MJPG":
         return _decode_jpeg(raw, height_px, width_px)

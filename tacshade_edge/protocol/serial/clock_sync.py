@@ -50,17 +50,13 @@ class ConvertedTime:
 
 @dataclass(frozen=True, slots=True)
 class SyncState:
-    """How well the robot's clock is known, and why it is unknown or what is wrong with it.
-
-    `offset_ns` is daemon minus robot and `error_us` the error bound, both now and 0 with ``none``; `drift_ppm` is how
-    slow the robot's clock is.
-    """
+    """How well the robot's clock is known."""
 
     mode: SyncMode
-    reason: Reason | None
-    offset_ns: int
-    drift_ppm: float
-    error_us: int
+    reason: Reason | None  # why it is unknown, or what is wrong with it
+    offset_ns: int  # daemon minus robot now; 0 with ``none``
+    drift_ppm: float  # how slow the robot's clock is
+    error_us: int  # bound
 
 
 @dataclass(slots=True)

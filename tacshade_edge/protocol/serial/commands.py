@@ -70,28 +70,6 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class PortOpened:
-    """The port was opened after an absence of `away_ms`, or 0."""
-
-    away_ms: int
-
-
-@dataclass(frozen=True, slots=True)
-class PosesMissing:
-    """Poses are missing, `poses` of them by their numbers."""
-
-    poses: int
-
-
-@dataclass(frozen=True, slots=True)
-class SyncChanged:
-    """The state of the robot's clock changed."""
-
-    mode: str
-    error_us: int
-
-
-@dataclass(frozen=True, slots=True)
 class TouchAsked:
     """The arguments of ``TOUCH ON``: some of `types.QUANTITIES`, and the greatest number of events per second."""
 
@@ -101,18 +79,17 @@ class TouchAsked:
 
 @dataclass(frozen=True, slots=True)
 class TouchSeen:
-    """The touch in the frame `seq`: each requested quantity, in the unit of its name, None if unknown.
-
-    `contact` is False once, when the contact ends, and where only a learnt model sees a touch.
-    """
+    """The touch in the frame `seq`: each requested quantity, in the unit of its name, None if unknown."""
 
     seq: int
     t_ns: int
-    contact: bool
+    contact: bool  # False once, when the contact ends, and where only a learnt model sees a touch
     values: tuple[tuple[str, float | None], ...]
 
-
-LinkEvent = PortOpened | PosesMissing | SyncChanged | TouchSeen
+    def text(self) -> str:
+        """The event that reports it; at the end of a contact, ``contact=0`` and no values."""
+        end = "" if self.contact else " contact=0"
+        return f"TOUCH {self.seq} {self.t_ns}{end}" + "".join(f" {name}={_value_text(v)}" for name, v in self.values)
 
 
 # -- the arguments ----------------------------------------------------------------------------------------------------
@@ -242,20 +219,9 @@ def error_word(code: ReasonCode) -> str:
     return ERROR_WORDS.get(code, _OTHERWISE)
 
 
-def event_text(event: LinkEvent) -> str:
-    """The line that reports `event`; at the end of a contact, that of a touch has ``contact=0`` and no values."""
-    match event:
-        case PortOpened():
-            away = f" away_ms={event.away_ms}" if event.away_ms else ""
-            return f"EVT READY tacshade {PROTOCOL_VERSION}{away}"
-        case PosesMissing():
-            return f"EVT GAP poses={event.poses}"
-        case SyncChanged():
-            return f"EVT SYNC mode={event.mode} error_us={event.error_us}"
-        case TouchSeen():
-            end = "" if event.contact else " contact=0"
-            values = "".join(f" {name}={_value_text(value)}" for name, value in event.values)
-            return f"EVT TOUCH {event.seq} {event.t_ns}{end}{values}"
+def ready_text(away_ms: int) -> str:
+    """The event of a port that was opened after an absence, or 0."""
+    return f"READY tacshade {PROTOCOL_VERSION}" + (f" away_ms={away_ms}" if away_ms else "")
 
 
 def _figure_text(name: str, value: object) -> object:
@@ -286,7 +252,7 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
 def event_bytes_max(names: Sequence[str]) -> int:
     """The greatest length in bytes of an event of these quantities, with its checksum, in either mode."""
     ends, touches = (
-        len(seal(event_text(TouchSeen(_SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)))))
+        len(seal("EVT " + TouchSeen(_SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)).text()))
         for contact in (False, True)
     )
     return max(ends, touches + len(names) * (_VALUE_BYTES_MAX - 1)) + _BINARY_MORE

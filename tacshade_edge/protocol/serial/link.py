@@ -15,9 +15,7 @@ from tacshade_edge.protocol.results import SerialResult
 from tacshade_edge.protocol.serial.commands import (
     PROTOCOL_VERSION,
     Command,
-    LinkEvent,
     answer_text,
-    event_text,
     help_text,
     parse_command,
     parse_hello,
@@ -150,9 +148,9 @@ class SerialLink:
         if self._session.replies.keep(command, text):
             self._send(text)
 
-    def notify(self, event: LinkEvent) -> None:
+    def notify(self, event: str) -> None:
         """Send an unsolicited ``EVT``."""
-        self._send(event_text(event))
+        self._send(f"EVT {event}")
 
     def take_output(self) -> bytes:
         """Return the bytes to write to the port and forget them."""

@@ -27,15 +27,12 @@ from tacshade_edge.protocol.results import (
 from tacshade_edge.protocol.serial import commands
 from tacshade_edge.protocol.serial.commands import (
     NAMES_MAX,
-    PortOpened,
-    PosesMissing,
-    SyncChanged,
     TouchAsked,
     TouchSeen,
     answer_text,
     event_bytes_max,
-    event_text,
     parse_touch,
+    ready_text,
     too_slow,
 )
 from tacshade_edge.protocol.serial.framing import cobs_encode
@@ -97,18 +94,15 @@ def test_a_reference_is_refused_with_one_word() -> None:
     assert answer_text(7, other) == "ERR 7 REFUSED shows contact"
 
 
-def test_events() -> None:
-    assert event_text(PortOpened(0)) == "EVT READY tacshade 1"
-    assert event_text(PortOpened(17)) == "EVT READY tacshade 1 away_ms=17"
-    assert event_text(PosesMissing(3)) == "EVT GAP poses=3"
-    assert event_text(SyncChanged("oneway", 2000)) == "EVT SYNC mode=oneway error_us=2000"
-    assert event_text(TouchSeen(1, 2, True, (("x_mm", None),))) == "EVT TOUCH 1 2 x_mm=-"
+def test_a_port_that_was_opened() -> None:
+    assert ready_text(0) == "READY tacshade 1"
+    assert ready_text(17) == "READY tacshade 1 away_ms=17"
 
 
 @pytest.mark.parametrize("vector", VECTORS["touches"], ids=lambda v: str(v["seq"]))
 def test_event(vector: dict[str, Any]) -> None:
     seen = TouchSeen(vector["seq"], vector["t_ns"], vector["contact"], tuple(vector["values"].items()))
-    line = seal(event_text(seen))
+    line = seal(f"EVT {seen.text()}")
     assert line.decode() == vector["line"] + "\n"
     assert (cobs_encode(b"L" + line[:-1]) + b"\0").hex() == vector["frame"]
 
@@ -127,7 +121,7 @@ def test_event(vector: dict[str, Any]) -> None:
     ],
 )
 def test_a_value_has_at_most_eight_characters(value: float | None, text: str) -> None:
-    assert event_text(TouchSeen(1, 2, True, (("x_mm", value),))) == f"EVT TOUCH 1 2 x_mm={text}"
+    assert TouchSeen(1, 2, True, (("x_mm", value),)).text() == f"TOUCH 1 2 x_mm={text}"
 
 
 @pytest.mark.parametrize(
@@ -171,7 +165,9 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
         "use a RATE of at most 4, fewer names or a faster line"
     )
     seen = TouchSeen(2**32 - 1, 2**63 - 1, True, tuple((name, -1000.0001) for name in LONGEST))
-    assert len(cobs_encode(b"L" + seal(event_text(seen))[:-1]) + b"\0") == event_bytes_max(LONGEST) <= LINE_BYTES_MAX
+    assert (
+        len(cobs_encode(b"L" + seal(f"EVT {seen.text()}")[:-1]) + b"\0") == event_bytes_max(LONGEST) <= LINE_BYTES_MAX
+    )
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None
     assert too_slow(TouchAsked(LONGEST, 5), 9600) is not None
     slowest = too_slow(TouchAsked(LONGEST, 1), 110)
