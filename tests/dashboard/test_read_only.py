@@ -99,11 +99,11 @@ def test_other_ways_to_say_hello_are_refused(hello: bytes) -> None:
         ReadOnly().passed(packet(1, hello[2:]))
 
 
-@pytest.mark.parametrize("kind", [0, 1, 2, 3, 9, 11, 13, 15])
-@pytest.mark.parametrize("flags", [0, 2, 15])
-def test_what_is_not_looking_is_refused(kind: int, flags: int) -> None:
-    with pytest.raises(DecodeError):
-        ReadOnly().passed(PING + bytes([kind << 4 | flags]) + b"\x03\0\1a")
+def test_what_is_not_looking_is_refused() -> None:
+    for kind in (0, 1, 2, 3, 9, 11, 13, 15):
+        for flags in (0, 2, 15):
+            with pytest.raises(DecodeError):
+                ReadOnly().passed(PING + bytes([kind << 4 | flags]) + b"\x03\0\1a")
 
 
 def test_what_is_too_large_is_refused_before_it_is_there() -> None:

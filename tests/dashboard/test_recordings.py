@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.page_server import TOKEN, running
 from support.recordings import LONG_AGO_S, recorded
 from websockets.asyncio.client import connect
@@ -80,14 +78,6 @@ def test_a_name_never_leads_out_of_the_folder(tmp_path: Path, name: object) -> N
     assert recordings.find(inside, "sensor/run").is_dir()
 
 
-@pytest.mark.slow
-@given(st.text())
-def test_no_text_names_anything_else(name: str) -> None:
-    here = Path(__file__).parent
-    with pytest.raises(DeviceError):
-        recordings.find(here, name)
-
-
 def test_the_tar_is_what_tar_reads_without_links(tmp_path: Path) -> None:
     path = recorded(tmp_path, "run")
     (path / "secret").symlink_to("/etc/passwd")
@@ -140,11 +130,6 @@ def test_deleting_follows_no_links_and_says_what_it_could_not(tmp_path: Path, mo
         recordings.delete(outside)
 
 
-def test_a_folder_that_is_gone_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="No such file"):
-        recordings.listed(tmp_path / "none")
-
-
 def socket(port: int, **words: Any) -> connect:
     return connect(f"ws://127.0.0.1:{port}/recordings", subprotocols=["tacshade-recordings"], compression=None, **words)
 
@@ -178,9 +163,8 @@ async def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        *("", "no JSON", "[]", "7", b"\xff", "[" * 5000),
-        *({}, {"action": "rm"}, {"action": "delete"}, {"action": "delete", "name": "../run"}),
-        *({"action": "download", "name": "/etc"}, {"action": "play", "name": "none"}, {"action": ["list"]}),
+        *("", "[]", b"\xff", "[" * 5000, {"action": ["list"]}),
+        *({"action": "delete"}, {"action": "delete", "name": "../run"}, {"action": "play", "name": "none"}),
     ],
 )
 async def test_nonsense_and_hostile_names_get_one_line(tmp_path: Path, command: object) -> None:
