@@ -237,11 +237,3 @@ def test_bash_completes_commands_and_options(tmp_path: Path, capsys: pytest.Capt
     assert set(completed(script, "tacshade-edge re")) == {name for name in COMMANDS if name.startswith("re")}
     assert completed(script, "tacshade-edge replay --cal") == ["--calibration"]
     assert completed(script, "tacshade-edge completion z") == ["zsh"]
-
-
-def test_without_its_package_it_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    assert main(["completion", "bash"]) == EXIT_CONFIG
-    assert "pip install '.[completion]' in the clone" in capsys.readouterr().err

@@ -162,16 +162,6 @@ def test_on_a_terminal_it_is_one_line_that_renews_itself() -> None:
     assert written.endswith("images: 29/30, 1 s left\r\033[Kimages: 30/30\n")
 
 
-def test_what_is_short_says_nothing_in_a_pipe() -> None:
-    stream, clock = io.StringIO(), Clock()
-    progress = Progress(stream, clock)
-    for what in ("images", "profiles"):
-        for done in range(3):
-            progress(what, done, 2)
-            clock.now_s += 4
-    assert stream.getvalue() == ""
-
-
 def test_a_message_stands_on_a_line_of_its_own() -> None:
     for stream, said in ((Terminal(), "\r\033[Ktacshade-edge: a.png: cut\n"), (io.StringIO(), "a.png: cut\n")):
         progress = Progress(stream, Clock())
@@ -189,11 +179,10 @@ def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-@pytest.mark.parametrize("package", PACKAGES)
 def test_without_a_package_the_pictures_are_missing_and_a_line_says_so(
-    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    args = argparse.Namespace(out=tmp_path)
+    args, package = argparse.Namespace(out=tmp_path), PACKAGES[0]
     assert study.will_draw(args, "figure6.png", PACKAGES)
     assert capsys.readouterr().err == ""
     monkeypatch.setitem(sys.modules, package, None)

@@ -3,14 +3,12 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tacshade_edge.cli import main
 from tacshade_edge.demo.child import Child, broker_command, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
@@ -63,15 +61,6 @@ def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch:
         broker_command(tmp_path, 1883)
 
 
-def test_without_the_page_it_names_the_extra_of_the_demo(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    assert main(["demo"]) == 78
-    said = "the package websockets is not installed; to install it: pip install '.[demo]' in the clone"
-    assert capsys.readouterr() == ("", f"tacshade-edge: demo: {said}\n")
-
-
 def gone(pid: int) -> bool:
     """Dead, or dead and not yet collected by whoever inherited it."""
     try:
@@ -95,14 +84,6 @@ def test_a_child_that_does_not_listen_is_told(tmp_path: Path) -> None:
     child.stop()
     with pytest.raises(DeviceError, match="exited with status -15: no output"):
         child.check()
-
-
-def test_waiting_ends_when_the_port_is_open(tmp_path: Path) -> None:
-    child = Child("dashboard", ["sleep", "60"], tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        wait_for_port(child, server.getsockname()[1], 5)
-    child.check()
-    child.stop()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's death signal is Linux's")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
-import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paho.mqtt.client import topic_matches_sub
 
 from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.daemon.session import MapPublisher, MapRevision
@@ -143,19 +140,3 @@ def test_header_table_is_without_a_gap() -> None:
         assert int(offset) == position
         position += sizes[kind]
     assert position == wire.HEADER_BYTES
-
-
-@pytest.mark.parametrize(
-    "path", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda path: path.name
-)
-def test_an_example_does_not_flood_a_terminal(path: Path) -> None:
-    """Where `mosquitto_sub` gets a stream, it ends after a count, and it prints nothing binary."""
-    text = {"tacshade/left-index/contact", "tacshade/left-index/touch", "tacshade/hand/left/objects"}
-    streams = text | {f"tacshade/left-index/{name}" for name in ("height", "cloud", "shear", "sigma", "preview")}
-    binary = streams - text | {"tacshade/left-index/map/cloud"}
-    for line in re.findall(r"^    (?:.*\s)?mosquitto_sub\s.*$", path.read_text(), re.MULTILINE):
-        words = shlex.split(line, comments=True)
-        patterns = [word for flag, word in itertools.pairwise(words) if flag == "-t"]
-        got = {topic for topic in streams | binary for pattern in patterns if topic_matches_sub(pattern, topic)}
-        assert {"-C", "|"} & set(words) or not got & streams, line
-        assert "-F" in words or not got & binary, line

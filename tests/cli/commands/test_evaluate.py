@@ -116,24 +116,6 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     assert "found no image to score" in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize(
-    ("calibration", "images", "code", "message"),
-    [
-        ("nowhere.npz", "images", 78, "nowhere.npz: cannot read the calibration"),
-        ("cal.npz", "nowhere", 78, "nowhere: found no folder"),
-        ("cal.npz", "empty", 78, "empty: found no image"),
-    ],
-)
-def test_what_is_not_there_is_one_line(
-    own: Path, calibration: str, images: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (own / "empty").mkdir()
-    assert main(["evaluate", "--calibration", str(own / calibration), "--images", str(own / images)]) == code
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert message in error
-
-
 def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--out", os.fspath(own / "cal.npz")]) == 1
     assert "cal.npz: cannot write it" in capsys.readouterr().err

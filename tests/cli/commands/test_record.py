@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -185,24 +184,6 @@ def test_a_signal_ends_the_recording_and_the_daemon_goes_on_until_it_is_stopped(
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
     assert about(tmp_path / "recs" / "a")["ending"] == "the daemon stopped"
-
-
-def test_a_reload_is_an_event_and_another_calibration_ends_it(tmp_path: Path, start: Start, seen: Subscriber) -> None:
-    daemon = start("run")
-    client = start("record", "--seconds", "600", "--name", "a")
-    wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
-    daemon.send_signal(signal.SIGHUP)
-    events = tmp_path / "recs" / "a" / "events.jsonl.part"
-    wait_until(lambda: '"reload"' in events.read_text(), 20, "the reload is an event")
-    before = recording_frames(seen)
-    wait_until(lambda: recording_frames(seen) > before, 20, "the recording goes on")
-    calibration_file.save(tmp_path / "c.npz", replace(painted_calibration(), alpha=16.0))
-    daemon.send_signal(signal.SIGHUP)
-    said, errors = client.communicate(timeout=patience(30))
-    assert client.returncode == 1
-    assert said.endswith("(the reference or calibration changed)\n")
-    assert errors.endswith("stopped: the reference or calibration changed; the recorded frames are kept\n")
-    assert calibration_file.load(tmp_path / "recs" / "a" / "calibration.npz").crc32 == painted_calibration().crc32
 
 
 def test_what_cannot_be_asked_is_one_line(

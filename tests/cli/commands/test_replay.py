@@ -10,14 +10,12 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated
 from support.golden_replay import FRAMES, GOLDEN, figures, write_input
 from support.recordings import write_recording
 
@@ -103,16 +101,6 @@ def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[st
     assert re.fullmatch(r"frame 2 \(000002\.png\) at image row \d+, col \d+", height[3])
     assert main(["replay", "--out", second, "--against", first]) == 1
     assert capsys.readouterr().out.splitlines() == lines
-
-
-def test_runs_on_other_cells_are_compared_by_depth(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first, second = str(folder / "a"), str(folder / "b")
-    assert main(words(folder, "--out", first)) == 0
-    assert main(words(folder, "--out", second, "--profile", "fast", "--against", first)) == 1
-    *_, contact, depth, height = capsys.readouterr().out.splitlines()
-    assert contact.startswith("  contact: differs in ")
-    assert depth.startswith("  depth_max_mm: mean ")
-    assert height == "  height_mm: on other cells in frame 0 (000000.png), so not compared cell by cell"
 
 
 def test_a_loop_is_one_longer_run(folder: Path) -> None:
@@ -243,15 +231,3 @@ def test_the_golden_replay(tmp_path: Path, golden: list[dict[str, Any]]) -> None
     found = figures(tmp_path / "run")
     assert len(differences(found, golden)) <= MOST_OUTSIDE
     assert differences(found, golden, MOST_TIMES) == []
-
-
-@pytest.mark.slow
-def test_two_percent_more_depth_would_be_seen(tmp_path: Path, golden: list[dict[str, Any]]) -> None:
-    given = write_input(tmp_path, 20)
-    right = calibrated()
-    deeper = {name: 1.02 * factor for name, factor in right.factors.items()}
-    calibration_file.save(tmp_path / "cal.npz", replace(right, factors=deeper))
-    assert main([*given, "--out", str(tmp_path / "run")]) == 0
-    found = differences(figures(tmp_path / "run"), golden[:20])
-    assert len(found) >= 10
-    assert not set(found) & {0, 1, 2, 3}  # without contact there is nothing to be deeper

@@ -106,12 +106,8 @@ def test_a_pad_is_calibrated_and_stitched_by_the_commands_that_it_prints(
     [
         (["--out", "OUT", "--objects", "teapot"], 78, "found 'teapot'"),
         (["--out", "OUT", "--objects", "ball", "--position", "30", "0"], 78, "not over the skin"),
-        (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the sensor's centre"),
         (["--out", "FILE/x", "--objects", "none"], 1, "cannot write it"),
-        (["--calibration-set", "FILE"], 1, "cannot write it"),
         (["--pad", "OUT", "--pad-step", "0"], 78, "found a step of 0 mm"),
-        (["--pad", "OUT", "--pad-depth", "5"], 78, "a depth above 0 and up to 3 mm"),
-        (["--pad", "FILE"], 1, "cannot write it"),
     ],
 )
 def test_what_cannot_be_is_one_line(

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,8 +13,7 @@ from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate, stitch
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.rigid import Rigid, from_seven, shift, turn
+from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import U8
@@ -82,27 +80,6 @@ def test_noisy_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert all(said in printed for said in ("poses refined", "not refined: RMS", "paper's average: RMS"))
 
 
-def test_the_calibrations_flange_is_used(folder: Path, tmp_path: Path) -> None:
-    # The flange is 50 mm above the sensor's middle and a quarter turned.
-    half = np.sqrt(0.5)
-    other = {"flange_T_sensor": (0.0, 0.0, 50.0, half, 0.0, 0.0, half)}
-    shutil.copytree(folder, tmp_path / "pad")
-    calibration_file.save(tmp_path / "pad" / "cal.npz", replace(calibrated(), **other))  # type: ignore[arg-type]
-    header, *lines = (folder / "POSES.csv").read_text().splitlines()
-    sensor_T_flange = from_seven(other["flange_T_sensor"]).inverse()
-    rows = [header]
-    for line in lines:
-        name, *numbers = line.split(",")
-        flange = from_seven([float(n) for n in numbers]) @ sensor_T_flange
-        rows.append(",".join((name, *(f"{v:.9f}" for v in flange.seven()))))
-    (tmp_path / "pad" / "POSES.csv").write_text("\n".join(rows) + "\n")
-    assert main(words(folder, tmp_path / "a")) == 0
-    assert main(words(tmp_path / "pad", tmp_path / "b")) == 0
-    a, b = (np.load(tmp_path / name / "map.npz")["z_mm"] for name in ("a", "b"))
-    assert a.shape == b.shape
-    assert np.nanmax(np.abs(a - b)) < 1e-3
-
-
 def recorded(folder: Path, path: Path, *, poses: bool = True) -> Path:
     """A robot that presses three times and holds still for half a second, at 30 frames a second."""
     path.mkdir()
@@ -159,8 +136,6 @@ def no_number(pad: Path) -> None:
     [
         (untouched, (), "no contact"),
         (no_number, ("--find-flange",), "POSES.csv:2: x_mm: "),
-        (lambda pad: (pad / "POSES.csv").write_text("image,x_mm\n"), (), "POSES.csv:1: "),
-        (lambda pad: (pad / "POSES.csv").write_text("image,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), (), "POSES.csv"),
         (lambda pad: (pad / "PAD.npz").write_text("nothing"), ("--truth", "{pad}/PAD.npz"), "PAD.npz: "),
         (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y and z"),
         (lambda _: None, ("--find-flange", "--truth", "{pad}/PAD.npz"), "--truth: "),
@@ -222,12 +197,6 @@ def test_without_motion_the_delay_is_null(tmp_path: Path, capsys: pytest.Capture
     about = json.loads(capsys.readouterr().out)
     assert about == json.loads((tmp_path / "flange.json").read_text())
     assert about["delay_ms"] is None
-
-
-@pytest.mark.slow
-def test_a_start_that_is_far_off_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected at most 15 mm and 15 degrees"):
-        report_flange(tmp_path, start=shift(30, 0, 0) @ TRUE, moves=False)
 
 
 @pytest.mark.slow
