@@ -57,8 +57,6 @@ _OWN: Final[dict[str, Schema]] = {"/tacshade/bridge": {"title": "tacshade.Bridge
 
 
 class _Sensor:
-    """One sensor's channels."""
-
     def __init__(self, sensor_id: str, viewers: Viewers) -> None:
         self._id, self._base = sensor_id, f"tacshade/{sensor_id}"
         self._viewers = viewers
@@ -69,7 +67,6 @@ class _Sensor:
         self._kept: dict[str, Callable[[], Any]] = {}
 
     def close(self) -> None:
-        """Withdraw the sensor's channels."""
         self._viewers.withdraw(list(self._channels.values()))
 
     def wanted(self) -> set[str]:
@@ -90,7 +87,6 @@ class _Sensor:
         """Take over the sensor's geometry and its place on the robot."""
         self._info, now_ns = info, time.time_ns()
         self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
-        self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
 
     def hear(self, topic: str, payload: bytes) -> None:
         """Send a message from the sensor to the viewers. Raises DecodeError."""
@@ -178,7 +174,6 @@ class _Known:
         return 0 if self.info is None else 1 + (self.info.geometry is not None) + (self.state in ALIVE)
 
     def close(self) -> None:
-        """Withdraw the sensor's channels if it is shown."""
         if self.shown is not None:
             self.shown.close()
             self.shown = None
@@ -209,11 +204,9 @@ class FoxgloveBridge:
         (self._own,) = self._viewers.advertise(_OWN)
 
     def stop(self) -> None:
-        """Close the viewers' connections."""
         self._viewers.stop()
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
-        """Process a message from the broker."""
         if not payload:
             return
         with self._lock:
@@ -267,7 +260,6 @@ class FoxgloveBridge:
             self._choose()
 
     def _choose(self) -> None:
-        """Show the sensors of the highest rank."""
         best = set(self._roster.best(SENSORS_MAX))
         for sensor_id, known in self._roster:
             if known.shown is not None and sensor_id not in best:

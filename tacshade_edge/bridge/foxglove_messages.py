@@ -70,7 +70,6 @@ def frame_name(sensor_id: str, frame: Frame) -> str:
 
 
 def timestamp(wall_ns: int) -> Timestamp:
-    """Return a Unix time in ns as Foxglove's timestamp."""
     sec, nsec = divmod(wall_ns, 1_000_000_000)
     return Timestamp(sec=min(sec, 0xFFFFFFFF), nsec=nsec)
 
@@ -130,20 +129,7 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
     return SceneUpdate(entities=[entity])
 
 
-def untouched(info: Info) -> tuple[F32, Grid]:
-    """The height map of the skin at rest, 0 in the disc; a single NaN cell without a calibration."""
-    if info.geometry is None:
-        return np.full((1, 1), np.nan, np.float32), Grid(1, 1, 0.0, 0.0, 1.0)
-    geometry = info.geometry.geometry
-    step_px = 2 * geometry.disc.radius_px / (SKIN_CELLS_MAX - 1)
-    corner = geometry.disc.row_c - geometry.disc.radius_px, geometry.disc.col_c - geometry.disc.radius_px
-    grid = Grid(SKIN_CELLS_MAX, SKIN_CELLS_MAX, *corner, step_px)
-    inside = disc_rays(grid, geometry).inside
-    return np.where(inside, np.float32(0), np.float32(np.nan)), grid
-
-
 def flange_T_sensor(info: Info, sensor_id: str, wall_ns: int) -> FrameTransforms:
-    """The sensor's place on the robot's flange; empty without a calibration."""
     if info.geometry is None:
         return FrameTransforms()
     transform = _transform(info.geometry.flange_T_sensor, sensor_id, "flange", "sensor", wall_ns)
@@ -151,13 +137,11 @@ def flange_T_sensor(info: Info, sensor_id: str, wall_ns: int) -> FrameTransforms
 
 
 def base_T_flange(pose: RobotPose, sensor_id: str, wall_ns: int) -> FrameTransforms:
-    """The robot's pose when the camera took the frame."""
     values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
     return FrameTransforms(transforms=[_transform(values, sensor_id, "base", "flange", wall_ns)])
 
 
 def picture(jpeg: bytes, sensor_id: str, wall_ns: int) -> CompressedImage:
-    """The camera's picture as a JPEG message."""
     return CompressedImage(
         timestamp=timestamp(wall_ns), frame_id=frame_name(sensor_id, "sensor"), data=jpeg, format="jpeg"
     )

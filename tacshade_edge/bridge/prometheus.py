@@ -140,7 +140,6 @@ class MetricsServer(ThreadingHTTPServer):
             raise error
 
     def stop(self) -> None:
-        """Stop the server, even while clients are connected."""
         self.shutdown()
         self.server_close()
         self._thread.join()

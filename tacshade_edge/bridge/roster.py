@@ -34,11 +34,9 @@ class Roster(Generic[T]):
         self._sensors: dict[str, T] = {}
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
-        """Iterate over names and values, sorted by name."""
         return iter(sorted(self._sensors.items(), key=lambda item: item[0]))
 
     def get(self, sensor_id: str) -> T | None:
-        """Return the value held for a sensor, or None if it is not held."""
         return self._sensors.get(sensor_id)
 
     def best(self, count: int) -> list[str]:
@@ -57,7 +55,6 @@ class Roster(Generic[T]):
         return self._sensors[sensor_id]
 
     def drop(self, sensor_id: str) -> None:
-        """Drop a sensor and close its value."""
         if (sensor := self._sensors.pop(sensor_id, None)) is not None:
             self._close(sensor)
 

@@ -118,7 +118,6 @@ class Viewers:
         return numbers
 
     def withdraw(self, numbers: Sequence[int]) -> None:
-        """Stop offering these channels."""
         self._soon(self._remove, numbers)
 
     def watched(self, number: int) -> bool:
@@ -126,7 +125,6 @@ class Viewers:
         return any(number in viewer.subscriptions for viewer in tuple(self._viewers))
 
     def send(self, number: int, payload: bytes) -> None:
-        """Queue a message for all viewers of a channel."""
         self._soon(self._queue, number, time.time_ns(), payload)
 
     def _soon(self, job: Callable[..., object], *args: object) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
-import os
 import socket
 import ssl
 from collections.abc import Coroutine
@@ -218,14 +217,12 @@ def _reason(error: OSError | TimeoutError) -> str:
         return f"its certificate is not trusted ({error.verify_message})"
     if isinstance(error, ssl.SSLError):
         return "it does not speak TLS"
-    if isinstance(error, socket.gaierror):
-        return "no such host name"
     if isinstance(error, TimeoutError):
         return f"no answer within {_CONNECT_S:.0f} s"
     # asyncio's own text repeats the addresses, and has no errno if there were several, as with localhost.
-    if isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in str(error):
+    if f"[Errno {errno.ECONNREFUSED}]" in str(error):
         return "connection refused"
-    return os.strerror(error.errno) if error.errno else str(error)
+    return str(error.strerror or error)
 
 
 def _short(reason: str) -> str:

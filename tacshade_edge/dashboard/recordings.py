@@ -16,8 +16,7 @@ import shutil
 import stat
 import sys
 import tarfile
-from collections.abc import AsyncIterator, Callable
-from dataclasses import asdict, dataclass
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -49,23 +48,11 @@ _CHUNK_BYTES: Final = 1 << 18
 _NAME: Final = re.compile(RECORD_NAME)
 
 
-@dataclass(frozen=True, slots=True)
-class Listed:
-    """One recording in the list, with its name for `find`: ``NAME``, or ``SENSOR/NAME`` with several sensors.
-
-    `frames` and `size_bytes` are None until its writer has finished it; `began_ns` is the Unix time of its first frame,
-    or else of its last change.
-    """
-
-    name: str
-    frames: int | None
-    size_bytes: int | None
-    began_ns: int
-    is_growing: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields for JSON."""
-        return asdict(self)
+Listed = dict[str, Any]
+"""One recording in the list: `name` for `find`, ``NAME``, or ``SENSOR/NAME`` with several sensors; `frames` and
+`size_bytes`, None until its writer has finished it; `began_ns`, the Unix time of its first frame, or else of its last
+change; `is_growing`.
+"""
 
 
 def listed(folder: Path) -> list[Listed]:
@@ -73,17 +60,11 @@ def listed(folder: Path) -> list[Listed]:
 
     Raises DeviceError if the folder cannot be read.
     """
-    found = []
+    names = []
     for name in _names(folder):
-        if _is_recording(folder / name):
-            found.append(_look_at(folder, name))
-        elif "/" not in name:
-            found += [
-                _look_at(folder, f"{name}/{inner}")
-                for inner in _names(folder / name)
-                if _is_recording(folder / name / inner)
-            ]
-    return sorted(found, key=lambda recording: -recording.began_ns)[:LISTED_MAX]
+        inside = [name] if _is_recording(folder / name) else [f"{name}/{inner}" for inner in _names(folder / name)]
+        names += [each for each in inside if _is_recording(folder / each)]
+    return sorted((_look_at(folder, name) for name in names), key=lambda one: -one["began_ns"])[:LISTED_MAX]
 
 
 def find(folder: Path, name: object) -> Path:
@@ -101,17 +82,26 @@ def find(folder: Path, name: object) -> Path:
             raise DeviceError(f"{shown(str(name))}: found a symbolic link, expected a recording's file or folder")
     if not _is_recording(path):
         raise DeviceError(f"found no recording {shown(str(name))}")
-    if _look_at(folder, "/".join(parts)).is_growing:
+    if _look_at(folder, "/".join(parts))["is_growing"]:
         raise DeviceError(f"{shown(str(name))} is still being written")
     return path
 
 
+@contextlib.contextmanager
+def _errors(what: str) -> Iterator[None]:
+    """Raise a DeviceError that begins with `what` in place of an OSError; a time-out passes."""
+    try:
+        yield
+    except TimeoutError:
+        raise
+    except OSError as error:
+        raise DeviceError(f"{what}: {error.strerror or error}") from error
+
+
 def delete(path: Path) -> None:
     """Delete a recording that `find` returned. Raises DeviceError; some files may already be deleted."""
-    try:
+    with _errors(f"{path.name} cannot be deleted"):
         shutil.rmtree(path)
-    except OSError as error:
-        raise DeviceError(f"{path.name} cannot be deleted: {error.strerror or error}") from error
 
 
 def tar_bytes(path: Path) -> int:
@@ -128,39 +118,30 @@ def tar(path: Path, write: Callable[[bytes], object]) -> None:
     sink = SimpleNamespace(write=write)
     # Closed only when whole: its end would make a part of it look complete.
     archive = tarfile.open(fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT)  # noqa: SIM115
-    name = path.name
     try:
         for name, about in _files(path):
             info = tarfile.TarInfo(f"{path.name}/{name}")
             info.size, info.mtime = about.st_size, int(about.st_mtime)
-            with open(os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as stream:
+            with (
+                _errors(f"{name} cannot be read"),
+                open(os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as stream,
+            ):
                 archive.addfile(info, stream)
         archive.close()
-    except TimeoutError:  # of `write`
-        raise
-    except OSError as error:
-        raise DeviceError(f"{name} cannot be read: {error.strerror or error}") from error
     finally:
         sink.write = len  # an archive that is not closed writes its rest when it is collected
 
 
 def _files(path: Path) -> list[tuple[str, os.stat_result]]:
-    """Return the regular files in order."""
-    try:
-        with os.scandir(path) as entries:
-            found = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
-    except OSError as error:
-        raise DeviceError(f"{path.name} cannot be read: {error.strerror or error}") from error
+    with _errors(f"{path.name} cannot be read"), os.scandir(path) as entries:
+        found = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
     return sorted((name, about) for name, about in found if stat.S_ISREG(about.st_mode))
 
 
 def _names(folder: Path) -> list[str]:
     """Return the subfolders with a valid name of a recording, without links."""
-    try:
-        with os.scandir(folder) as entries:
-            found = [entry.name for entry in entries if _NAME.match(entry.name) and entry.is_dir(follow_symlinks=False)]
-    except OSError as error:
-        raise DeviceError(f"{folder}: {error.strerror or error}") from error
+    with _errors(str(folder)), os.scandir(folder) as entries:
+        found = [entry.name for entry in entries if _NAME.match(entry.name) and entry.is_dir(follow_symlinks=False)]
     return sorted(found, reverse=True)[:_LOOKED_AT_MAX]
 
 
@@ -174,16 +155,16 @@ def _look_at(folder: Path, name: str) -> Listed:
         changed_s = max((path / sign).stat().st_mtime for sign in ("", *_SIGNS) if (path / sign).exists())
     except (OSError, ValueError):
         changed_s = 0.0  # deleted in the meantime
-    about: dict[str, Any] = {}
-    if is_whole := (path / _ABOUT).is_file():
-        try:
-            found = json.loads(read_regular(path / _ABOUT, _ABOUT_BYTES_MAX))
-            about = found if isinstance(found, dict) else {}
-        except (OSError, ValueError, RecursionError):
-            about = {}
-    began_ns = _count(about.get("first_wall_ns")) or int(changed_s * 1e9)
-    is_growing = not is_whole and any(_is_locked(path / name) for name in _LOCKED)
-    return Listed(name, _count(about.get("frames")), _count(about.get("bytes")), began_ns, is_growing)
+    try:
+        about = json.loads(read_regular(path / _ABOUT, _ABOUT_BYTES_MAX))
+    except (OSError, ValueError, RecursionError):
+        about = None
+    first_ns, frames, size = (
+        _count(about.get(key)) if isinstance(about, dict) else None for key in ("first_wall_ns", "frames", "bytes")
+    )
+    is_growing = not (path / _ABOUT).is_file() and any(_is_locked(path / name) for name in _LOCKED)
+    began_ns = first_ns or int(changed_s * 1e9)
+    return {"name": name, "frames": frames, "size_bytes": size, "began_ns": began_ns, "is_growing": is_growing}
 
 
 def _is_locked(path: Path) -> bool:
@@ -238,8 +219,7 @@ class RecordingCommands:
         if self._read_only and action not in _READ_ONLY:
             raise DeviceError("read-only: this dashboard forwards no requests")
         if action == "list":
-            found = await asyncio.to_thread(listed, folder)
-            await _answer(page, ok=True, recordings=[recording.as_dict() for recording in found])
+            await _answer(page, ok=True, recordings=await asyncio.to_thread(listed, folder))
         elif action == "download":
             await self._download(page, await asyncio.to_thread(find, folder, name))
         elif action == "delete":
@@ -322,13 +302,11 @@ async def _last_line(stream: asyncio.StreamReader) -> str:
 
 
 def _command(message: str | bytes) -> dict[str, Any]:
-    try:
+    with contextlib.suppress(ValueError, RecursionError):
         command = json.loads(message)
-    except (ValueError, RecursionError):
-        command = None
-    if not isinstance(command, dict):
-        raise DeviceError("expected a JSON object")
-    return command
+        if isinstance(command, dict):
+            return command
+    raise DeviceError("expected a JSON object")
 
 
 async def _answer(page: ServerConnection, **answer: object) -> None:

@@ -10,7 +10,6 @@ import base64
 import contextlib
 import hashlib
 import logging
-import os
 import re
 import socket
 import ssl
@@ -68,44 +67,37 @@ class Bounds:
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
-        """Count a connection; return False when too many are open."""
-        if admitted := self._connections.admit(connection):
-            return admitted
-        self._turn_away(f"{CONNECTIONS_MAX} connections are already open, the limit")
-        return False
+        return self._connections.admit(connection) or not self._turn_away(f"{CONNECTIONS_MAX} connections")
 
     def admit_page(self, connection: ServerConnection) -> str:
         """Count a connection as a page; return why it is rejected when too many are open, else an empty text."""
         if len(self._pages) >= PAGES_MAX:
-            return self._turn_away(f"{PAGES_MAX} pages are already open, the limit")
+            return self._turn_away(f"{PAGES_MAX} pages")
         self._pages.add(connection)
         return ""
 
-    def release(self, connection: ServerConnection) -> None:
-        """Remove a page that has ended."""
-        self._pages.discard(connection)
-
-    def _turn_away(self, why: str) -> str:
+    def _turn_away(self, many: str) -> str:
         self.turned_away += 1
+        why = f"{many} are already open, the limit"
         _log.warning("rejected a connection (%d so far): %s", self.turned_away, why)
         return why
 
+    def connection(self) -> type[ServerConnection]:
+        """Return the class of connections that are counted, and closed if their client reads nothing."""
+        pages = self._pages
 
-def bounded(bounds: Bounds) -> type[ServerConnection]:
-    """Return the connection class that enforces `bounds`."""
+        class Connection(ServerConnection):
+            def connection_lost(self, exc: Exception | None) -> None:
+                pages.discard(self)
+                super().connection_lost(exc)
 
-    class Connection(ServerConnection):
-        def connection_lost(self, exc: Exception | None) -> None:
-            bounds.release(self)
-            super().connection_lost(exc)
+            def data_received(self, data: bytes) -> None:
+                super().data_received(data)
+                if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
+                    _log.warning("disconnected a page that kept sending messages but read none")
+                    self.transport.abort()
 
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
-                _log.warning("disconnected a page that kept sending messages but read none")
-                self.transport.abort()
-
-    return Connection
+        return Connection
 
 
 def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -120,16 +112,10 @@ class Pages:
     """The answers to HTTP requests; permitted WebSocket requests pass. Without `tokens`, everybody sees the page."""
 
     def __init__(
-        self,
-        allowed_origins: Collection[str],
-        bounds: Bounds,
-        tokens: Login | None,
-        *,
-        read_only: bool,
-        recordings: bool,
+        self, files: Mapping[str, File], allowed_origins: Collection[str], bounds: Bounds, tokens: Login | None
     ) -> None:
         self._tokens = tokens
-        self._files = load(read_only=read_only, recordings=recordings)
+        self._files = files
         self._headers = security_headers(self._files)
         self._allowed_origins = allowed_origins
         self._bounds = bounds
@@ -233,6 +219,7 @@ async def run(
         # Compression would cost the board more than it saves: docs/how-to/dashboard.md has the figures.
         bridge = Bridge(broker, read_only=read_only)
         commands = RecordingCommands(recordings, broker, read_only=read_only)
+        files = load(read_only=read_only, recordings=recordings is not None)
 
         async def serve_page(page: ServerConnection) -> None:
             assert page.request is not None
@@ -244,10 +231,8 @@ async def run(
             ssl=tls,
             ssl_handshake_timeout=_SPEAK_S if tls else None,
             ssl_shutdown_timeout=_CLOSE_S if tls else None,
-            process_request=Pages(
-                allowed_origins, bounds, tokens, read_only=read_only, recordings=recordings is not None
-            ).answer,
-            create_connection=bounded(bounds),
+            process_request=Pages(files, allowed_origins, bounds, tokens).answer,
+            create_connection=bounds.connection(),
             open_timeout=_SPEAK_S,
             max_queue=_FRAMES_WAITING_MAX,
             subprotocols=[Subprotocol("mqtt"), Subprotocol("tacshade-recordings")],
@@ -257,15 +242,10 @@ async def run(
             close_timeout=_CLOSE_S,
             logger=quiet,
         )
-    except socket.gaierror as error:
-        raise DeviceError(
-            f"cannot listen on address {host}: {error.strerror}; expected an address of this machine"
-        ) from error
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise DeviceError(
-            f"cannot listen on port {port} of {host}: {reason}; expected a free port of this machine"
-        ) from error
+        reason = error.strerror or error
+        expected = "expected an address and a free port of this machine"
+        raise DeviceError(f"cannot listen on port {port} of {host}: {reason}; {expected}") from error
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()

@@ -26,7 +26,6 @@ _STOP_S: Final = 3.0
 
 
 def free_port() -> int:
-    """Return a free port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -54,7 +53,6 @@ class Child:
 
     @property
     def output(self) -> str:
-        """The process's output so far."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:

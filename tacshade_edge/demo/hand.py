@@ -72,7 +72,6 @@ _SENSOR: Final = """\
 
 
 def place_of(name: str) -> Rigid:
-    """Return a finger's ``hand_T_sensor``."""
     hold = FINGERS[name]
     away = np.array((hold.from_x, 0.0, hold.from_z))
     away /= np.linalg.norm(away)

@@ -9,7 +9,7 @@ import re
 import time
 from pathlib import Path
 
-from tacshade_edge.doctor import Finding, fault, ok, warning
+from tacshade_edge.doctor import Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.quoting import escaped
 from tacshade_edge.version import installed_version
@@ -22,18 +22,16 @@ _TIMEX_BYTES = 512  # struct timex has at most 208; all zero, it reads the state
 _FINE_S = 1e-6
 _DAY_S = 86400
 _FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
-_WORN = 9  # of 10 steps in JEDEC's estimate of an eMMC's used life
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
 MODEL = "/proc/device-tree/model"
 # Arm's "CPU part" in /proc/cpuinfo for the boards that the documents name.
 _ARM_PARTS = {"0xd03": "Cortex-A53", "0xd08": "Cortex-A72", "0xd0b": "Cortex-A76"}
-# Bits of get_throttled for the time since boot, after a shift right by 16.
-_SINCE_START = {1: "under-voltage", 2: "capped", 4: "throttled", 8: "hot"}
+_SINCE_START = {_UNDER_VOLTAGE: "under-voltage", _CAPPED: "capped", _SLOWED: "throttled", _HOT: "hot"}
 _TEXT_MAX = 80
 
 
-def check_board(machine: Machine) -> tuple[Finding, ...]:
+def check_board(machine: Machine) -> Findings:
     """Findings on what a Raspberry Pi's firmware reports and on the kernel's frequency scaling."""
     found = []
     text = machine.read(THROTTLED)
@@ -55,8 +53,7 @@ def check_board(machine: Machine) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def check_clock() -> tuple[Finding, ...]:
-    """Check this machine's clocks."""
+def check_clock() -> Findings:
     resolution_s = time.get_clock_info("monotonic").resolution
     return judge_clock(time.time(), Path(__file__).stat().st_mtime, synchronised(), resolution_s)
 
@@ -67,7 +64,7 @@ def synchronised() -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
-def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolution_s: float) -> tuple[Finding, ...]:
+def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolution_s: float) -> Findings:
     """Findings on the wall clock's time, its synchronisation, and the monotonic clock's resolution."""
     today = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
     keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
@@ -88,16 +85,15 @@ def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolutio
     return wall, warning("clock", coarse, "boot a kernel with high-resolution timers (remove highres=off)")
 
 
-def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
-    """Findings on the file system of `folder` (or of its nearest existing parent) and on the storage's wear."""
+def check_disk(folder: Path) -> Findings:
+    """Findings on the file system of `folder`, or of its nearest existing parent."""
     existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)
-    return (*judge_disk(folder, status.f_bavail * status.f_frsize, read_only), *check_wear(machine))
+    return judge_disk(folder, status.f_bavail * status.f_frsize, read_only)
 
 
-def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
-    """Findings on what statvfs(2) reports."""
+def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> Findings:
     if read_only:
         fix = "remount it read-write; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
         return (fault("disk", f"{folder} is on a read-only file system", fix),)
@@ -108,17 +104,6 @@ def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding,
     if free_bytes < _LOW_BYTES:
         return (warning("disk", f"{free}; recordings will soon fill the disk", clear),)
     return (ok("disk", free),)
-
-
-def check_wear(machine: Machine) -> tuple[Finding, ...]:
-    """A warning for each eMMC that reports being near its end of life; SD cards do not report it."""
-    worn = []
-    for block in machine.names("/sys/block", "mmcblk*"):
-        steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
-        if max(steps, default=0) >= _WORN:
-            found = f"{block.name} has used at least {10 * (max(steps) - 1)} % of its life"
-            worn.append(warning("disk", found, "back up important files and replace this storage soon"))
-    return tuple(worn)
 
 
 def board_facts(machine: Machine) -> dict[str, str]:

@@ -52,7 +52,6 @@ class DaemonState:
 
     @property
     def alive(self) -> bool:
-        """Whether a daemon is connected now."""
         return self.state in ("online", "degraded")
 
     def __str__(self) -> str:
@@ -82,7 +81,6 @@ class _Session:
 
     @property
     def is_refused(self) -> bool:
-        """Whether the broker rejected the last message."""
         return self.published is not None and self.published.is_failure
 
     def pump(self, done: Callable[[], object]) -> bool:
@@ -128,7 +126,6 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[Findings, Daemo
 
 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
-    """Judge whether a daemon is running and whether it is this machine's."""
     log = "see journalctl -u tacshade-edge"
     if daemon.alive and daemon.rival:
         found = f"two daemons are using {sensor_id}: one is running {daemon.place}, and the other is waiting"
@@ -147,7 +144,6 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
 
 
 def _connect(session: _Session, broker: BrokerAddress) -> Finding | None:
-    """Open the connection; return what is wrong with it, or None."""
     host, port, tls_ca = broker["host"], broker["port"], broker["tls_ca"]
     try:
         # First without paho, which leaves a socket open if its TLS handshake fails.
@@ -163,7 +159,6 @@ def _connect(session: _Session, broker: BrokerAddress) -> Finding | None:
 
 
 def _unreached(error: OSError) -> str:
-    """Return why no connection came about, as the finding's text."""
     match error:
         case socket.gaierror():
             return f"the name does not resolve ({error.strerror})"
@@ -179,7 +174,6 @@ def _unreached(error: OSError) -> str:
 
 
 def _greet(session: _Session, where: str, username: str | None, tls_ca: str | None) -> Finding | None:
-    """Wait for the broker's answer to CONNECT; return what is wrong with it, or None."""
     open_still = session.pump(lambda: session.greeting is not None)
     code = session.greeting
     if code is None:
@@ -224,7 +218,6 @@ def _limited(found: str) -> Finding:
 
 
 def judge_round_trip(middle_ms: float) -> Finding:
-    """Judge whether the round trip of a 38 KB message is quick enough."""
     found = f"a {_MESSAGE_BYTES // 1000} KB message made the round trip in {middle_ms:.1f} ms"
     if middle_ms <= _SLOW_MS:
         return ok(_ROUND_TRIP, found)

@@ -39,8 +39,6 @@ _IN_URL = re.compile(r"(?<=://)[^/\s@\"']+(?=@)")
 
 @dataclass(slots=True)
 class Seen:
-    """Data that the checks collect while they run."""
-
     document: Document | None = None
     daemon: DaemonState = field(default_factory=DaemonState)
     captured: Captured = field(default_factory=Captured)
@@ -77,12 +75,10 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
 
 
 def _versions() -> dict[str, Any]:
-    """Return the versions of this program, its packages and the system, and the machine's size."""
-    names = {re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in importlib.metadata.requires("tacshade-edge") or []}
     installed = {each.name: each.version for each in importlib.metadata.distributions()}
     return {
         **board_facts(Machine()),
-        "packages": {name: installed.get(name) for name in sorted(names)},
+        "packages": dict(sorted(installed.items())),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
     }
 
@@ -118,7 +114,6 @@ def _calibration(document: Document) -> dict[str, Any]:
 
 
 def _log() -> str:
-    """Return the service's latest log lines, or why there are none."""
     command = ["journalctl", "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_LOG_S, check=False)

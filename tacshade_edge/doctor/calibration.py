@@ -12,7 +12,7 @@ from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import fixes
-from tacshade_edge.doctor import Finding, fault, ok, warning
+from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import AS_SERVICE
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
@@ -33,7 +33,7 @@ _AGED = (
 )
 
 
-def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
+def load(document: Document) -> tuple[Calibration | None, Findings]:
     """Load the calibration that the settings name (None if it is unusable), with findings on its file."""
     path = document.settings.calibration
     try:
@@ -44,14 +44,14 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
             fix = f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = f"found no file {path}, so the daemon publishes only the camera's picture"
-        found = f"{document.where('calibration')}: {found}"
+        found = f"{document.where('calibration')}: found no file {path}, so the daemon publishes only pictures"
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
-        fix = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv"
-        fix += " (docs/how-to/calibration.md)"
+        fix = (
+            "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/how-to/calibration.md)"
+        )
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
@@ -64,7 +64,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     return calibration, (ok("calibration", found + depth_error),)
 
 
-def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> tuple[Finding, ...]:
+def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> Findings:
     """Compare at least one image, (H, W) or (H, W, 3), with the calibration's reference.
 
     `live` images are a camera's, so nothing should touch the skin; files and simulations show presses.
@@ -92,7 +92,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     return (*place, _check_noise(calibration, images))
 
 
-def _check_place(calibration: Calibration, found: camera.Drift) -> tuple[Finding, ...]:
+def _check_place(calibration: Calibration, found: camera.Drift) -> Findings:
     """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
@@ -105,16 +105,16 @@ def _check_place(calibration: Calibration, found: camera.Drift) -> tuple[Finding
 
 
 def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
-    """Judge the images by the new reference that they would make."""
     try:
         renewed = rezero(calibration, images)
     except ConfigError as error:
         return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)
     noise = f"noise of {renewed.noise_grey:.2f} grey levels, compared with {calibration.noise_grey:.2f} at calibration"
-    if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
+    if len(images) < 3:
+        noise = "one image"
+    elif renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
         fix = "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
         return warning("sensor", noise, fix)
-    noise = noise if len(images) >= 3 else "one image"
     return ok("sensor", f"the image matches the calibration and shows no contact, {noise}")
 
 

@@ -81,7 +81,6 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
 
 
 def check_csi(source: Rpicam) -> Findings:
-    """Check that rpicam-vid lists the configured camera."""
     if not shutil.which(PROGRAM):
         return (fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),)
     cameras = csi_cameras()
@@ -166,7 +165,6 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
 
 
 def check_rate(check: str, set_fps: float, captured: Captured, fix: str) -> Finding:
-    """Judge the rate of the frames, and how many were lost."""
     lost = f", {captured.dropped} lost" if captured.dropped else ""
     found = f"{captured.fps:.1f} frames/s, {set_fps:g} requested{lost}"
     if captured.fps < _RATE_PART * set_fps:
@@ -238,7 +236,6 @@ def card_name(device: str, machine: Machine) -> str:
 
 
 def has_csi_receiver(machine: Machine) -> bool:
-    """Whether the machine has a CSI receiver's node."""
     return any(card_name(f"/dev/{node.name}", machine).startswith(_CSI_RECEIVERS) for node in _nodes(machine))
 
 

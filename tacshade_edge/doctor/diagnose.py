@@ -57,7 +57,7 @@ def diagnose(
     robot = (settings.serial.device if settings.serial else None) if settings else ""
     checks: list[tuple[str, str, Callable[[], Findings]]] = [
         ("serial", _AGAIN, lambda: check_serial(machine, robot)),
-        ("disk", _AGAIN, lambda: check_disk(folder, machine)),
+        ("disk", _AGAIN, lambda: check_disk(folder)),
         ("clock", _AGAIN, check_clock),
         ("board", _AGAIN, lambda: check_board(machine)),
         ("usb", _AGAIN, lambda: check_usb(_cameras(document), machine)),

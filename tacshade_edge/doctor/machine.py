@@ -14,8 +14,6 @@ AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A process: its id and its command line."""
-
     pid: int
     words: tuple[str, ...]
 
@@ -51,12 +49,8 @@ class Machine:
 
     def processes(self) -> list[Process]:
         """Every visible process except this one."""
-        found = []
-        for folder in self.names("/proc", "[0-9]*"):
-            words = tuple(self.read(f"/proc/{folder.name}/cmdline").rstrip("\0").split("\0"))
-            if int(folder.name) != os.getpid():
-                found.append(Process(int(folder.name), words))
-        return found
+        numbers = [int(folder.name) for folder in self.names("/proc", "[0-9]*") if int(folder.name) != os.getpid()]
+        return [Process(n, tuple(self.read(f"/proc/{n}/cmdline").rstrip("\0").split("\0"))) for n in numbers]
 
     def holders(self, device: str) -> list[Process]:
         """The other processes that have a device open, as far as this user can see (root sees all)."""
@@ -79,7 +73,6 @@ class Machine:
 
 
 def may_use(path: Path) -> bool:
-    """Whether this user may read and write a device."""
     return os.access(path, os.R_OK | os.W_OK, effective_ids=True)
 
 

@@ -71,7 +71,6 @@ def figures(judged: Sequence[Judged]) -> list[str]:
 
 
 def limits_of(least: float, most: float) -> str:
-    """The limits of a figure, as a person reads them."""
     if math.isinf(most):
         return f"at least {least:.3g}"
     return f"at most {most:.3g}" if least <= 0 else f"{least:.3g} to {most:.3g}"

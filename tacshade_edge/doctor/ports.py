@@ -7,7 +7,6 @@ unopened: opening resets robots.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -15,9 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
-from tacshade_edge.doctor import Finding, fault, ok, warning
+from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 from tacshade_edge.settings import V4l2
 
@@ -27,11 +24,10 @@ _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 _BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
 """Bytes per pixel; for MJPG the most that pictures of pins and markers take, though a camera may reserve more."""
-_SMALL_PX: Final = (320, 240)
 _MB: Final = 1e6
 
 
-def check_serial(machine: Machine, device: str | None = "") -> tuple[Finding, ...]:
+def check_serial(machine: Machine, device: str | None = "") -> Findings:
     """One finding per sound port and one per problem.
 
     `device` is the robot's port in the settings, "" if there are no settings, None if the settings have no robot.
@@ -39,17 +35,18 @@ def check_serial(machine: Machine, device: str | None = "") -> tuple[Finding, ..
     listed = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
     found: list[Finding] = []
     for port in listed:
-        if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART:
-            found += [_unused(port, machine)] if device is None else _check_port(port, machine)
+        if machine.read(f"/sys/class/tty/{port}/type") == _NO_UART:
+            continue
+        if device is None:
+            unused = f"{_label(port, machine)}: not checked, because the settings name no robot (serial: null)"
+            found.append(ok("serial", unused))
+        else:
+            found += _check_port(port, machine)
     found = found or [ok("serial", "found no serial port; only a robot's poses need one")]
     if device is None or not device.startswith("/dev/") or machine.at(device).exists():
         return tuple(found)
     fix = "plug the robot in, and check which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
     return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
-
-
-def _unused(port: str, machine: Machine) -> Finding:
-    return ok("serial", f"{_label(port, machine)}: not checked, because the settings name no robot (serial: null)")
 
 
 def _label(port: str, machine: Machine) -> str:
@@ -59,7 +56,7 @@ def _label(port: str, machine: Machine) -> str:
     return f"/dev/{port}, best named {names[0]}" if names else f"/dev/{port}"
 
 
-def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
+def _check_port(port: str, machine: Machine) -> Findings:
     device = f"/dev/{port}"
     path = machine.at(device)
     label = _label(port, machine)
@@ -70,9 +67,9 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
         wrong.append(warning("serial", f"{label}: no permission", permission_fix(path, "dialout")))
     if _is_console(port, machine):
         fix = (
-            f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi, also turn off the login shell in "
-            "sudo raspi-config (Interface Options, Serial Port) and reboot. If no robot uses this port, change nothing"
+            f"if a robot uses this port: sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi, also turn"
         )
+        fix += " off the login shell in sudo raspi-config (Interface Options, Serial Port) and reboot"
         found = f"{label}: the system's console uses this port and would send text to a robot"
         wrong.append(warning("serial", found, fix))
     for process in machine.holders(device):
@@ -81,19 +78,16 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
             wrong.append(warning("serial", f"{label}: in use by {process}", fix))
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
-        fix = (
-            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make this permanent, "
-            f"add this line to /etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
-        )
+        fix = f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make this permanent, "
+        fix += f"add this line to /etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
         wrong.append(warning("serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix))
     return tuple(wrong) or (ok("serial", f"{label}: the port is free to use"),)
 
 
 def _is_console(port: str, machine: Machine) -> bool:
     """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first port."""
-    consoles = [word.partition("=")[2] for word in machine.read("/proc/cmdline").split() if word.startswith("console=")]
-    targets = [os.path.realpath(machine.at(f"/dev/{name.partition(',')[0]}")) for name in consoles]
-    if os.path.realpath(machine.at(f"/dev/{port}")) in targets:
+    consoles = re.findall(r"(?:^|\s)console=([^\s,]+)", machine.read("/proc/cmdline"))
+    if os.path.realpath(machine.at(f"/dev/{port}")) in [os.path.realpath(machine.at(f"/dev/{c}")) for c in consoles]:
         return True
     return any(
         process.words[0].endswith("getty") and any(word in (port, f"/dev/{port}") for word in process.words[1:])
@@ -124,7 +118,7 @@ class Port:
         return f"{self.name} ({self.speed_mbit} Mbit/s)"
 
 
-def check_usb(cameras: Sequence[V4l2], machine: Machine) -> tuple[Finding, ...]:
+def check_usb(cameras: Sequence[V4l2], machine: Machine) -> Findings:
     """A finding for each port with configured cameras; none for cameras that are not on USB."""
     on: dict[Port, list[V4l2]] = {}
     for camera in cameras:
@@ -150,51 +144,29 @@ def port_of(device: str, machine: Machine) -> Port | None:
 
 
 def judge_usb(port: Port, cameras: Sequence[V4l2]) -> Finding:
-    """Judge whether the cameras fit through the port; if not, the finding's fix states what would."""
+    """Judge whether the cameras fit through the port."""
     each = [bytes_s(camera) for camera in cameras]
-    load = f"about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
     formats = ", ".join(dict.fromkeys(f"{c.fourcc} {c.width_px}x{c.height_px} at {c.fps}/s" for c in cameras))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
-    found = f"{port}: {count} with {formats}: {load}"
+    found = f"{port}: {count} with {formats}: about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
     if fits(port, cameras):
         return ok("usb", found)
     if max(each) > port.most_bytes_s_of_one:
         found += f", but one camera alone gets at most {port.most_bytes_s_of_one / _MB:.0f}"
+    scale = min(port.most_bytes_s / sum(each), port.most_bytes_s_of_one / max(each))
+    slower = int(scale * max(camera.fps for camera in cameras))
+    fix = f"set source.fourcc: MJPG, or source.fps to at most {slower}, or a smaller size"
     # The rate of an uncompressed stream is known to the byte.
     known = [camera for camera in cameras if camera.fourcc != "MJPG"]
-    return (warning if fits(port, known) else fault)("usb", found, "; or ".join(_fixes(port, cameras)))
+    return (warning if fits(port, known) else fault)(
+        "usb", found, f"{fix}; or plug some into another controller's ports"
+    )
 
 
 def fits(port: Port, cameras: Sequence[V4l2]) -> bool:
-    """Whether all cameras can stream at once."""
     each = [bytes_s(camera) for camera in cameras]
     return sum(each) <= port.most_bytes_s and max(each, default=0) <= port.most_bytes_s_of_one
 
 
 def bytes_s(camera: V4l2) -> float:
-    """Return the data rate of a camera's stream, bytes/s."""
     return camera.width_px * camera.height_px * _BYTES_PER_PX[camera.fourcc] * camera.fps
-
-
-def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
-    """Return the changes that would make the cameras fit, the least intrusive first."""
-
-    def changed(**values: int | str) -> list[V4l2]:
-        return [msgspec.structs.replace(camera, **values) for camera in cameras]
-
-    width, height = _SMALL_PX
-    small = {"width_px": width, "height_px": height}
-    tries = {
-        "source.fourcc: MJPG": changed(fourcc="MJPG"),
-        f"source.width_px: {width}, height_px: {height}, and calibrate at that size": changed(**small),
-        f"fourcc: MJPG with {width}x{height}, and calibrate at that size": changed(fourcc="MJPG", **small),
-    }
-    fixes = [
-        f"set {words} ({sum(map(bytes_s, other)) / _MB:.0f} MB/s)"
-        for words, other in tries.items()
-        if fits(port, other) and other != list(cameras)
-    ]
-    scale = min(port.most_bytes_s / sum(map(bytes_s, cameras)), port.most_bytes_s_of_one / max(map(bytes_s, cameras)))
-    fps = math.floor(scale * max(camera.fps for camera in cameras))
-    fixes = fixes[:2] + [f"set source.fps to at most {fps}"] * (fps >= 1)
-    return [*fixes, "plug some into ports of another controller"] if len(cameras) > 1 else fixes

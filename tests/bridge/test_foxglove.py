@@ -120,7 +120,8 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
     with viewer(bridge.url) as seen:
         seen.subscribe("tf", "skin")
         wait_until(lambda: bridge.streams() >= {"height"}, 10, "watched")
-        rest, placed = seen.until("skin", "tf")  # before any touch
+        bridge.hear("height", wire.encode_height(bump(6, 0.0, 236.0, 328.0, step_px=4), calibration_crc32=CRC))
+        rest, placed = seen.until("skin", "tf")
         points_mm = vertices_mm(rest)
         assert len(points_mm) > 500
         np.testing.assert_allclose(np.linalg.norm(points_mm, axis=1), 20.0, atol=1e-3)

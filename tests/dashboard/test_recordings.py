@@ -33,7 +33,7 @@ def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     (tmp_path / "linked").symlink_to(tmp_path / "old")
     found = recordings.listed(tmp_path)
-    assert [(r.name, r.frames, r.size_bytes, r.is_growing) for r in found] == [
+    assert [tuple(r[key] for key in ("name", "frames", "size_bytes", "is_growing")) for r in found] == [
         ("left-thumb/new", 1, 600, False),
         ("odd", None, None, False),
         ("old", 1, 600, False),
@@ -48,11 +48,11 @@ def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not
     recorder.add(Frame(0, 1, 1, FREE), png_of(FREE))
     for each in (path, *path.iterdir()):  # no frame for a long time
         os.utime(each, (LONG_AGO_S, LONG_AGO_S))
-    assert [r.is_growing for r in recordings.listed(tmp_path)] == [True]
+    assert [r["is_growing"] for r in recordings.listed(tmp_path)] == [True]
     with pytest.raises(DeviceError, match="run is still being written"):
         recordings.find(tmp_path, "run")
     recorder.close()  # as the end of its process does
-    assert [(r.is_growing, r.frames) for r in recordings.listed(tmp_path)] == [(False, None)]
+    assert [(r["is_growing"], r["frames"]) for r in recordings.listed(tmp_path)] == [(False, None)]
     assert recordings.find(tmp_path, "run") == path
 
 

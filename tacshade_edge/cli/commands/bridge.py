@@ -21,7 +21,6 @@ POLL_S = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
     for name, port, text in (
         ("foxglove", 8765, "serve live data to Foxglove and Lichtblick over their WebSocket protocol"),
@@ -42,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C."""
     if args.password_file and not args.username:
         raise ConfigError("--password-file: found no --username, expected both options")
     host, port = args.broker

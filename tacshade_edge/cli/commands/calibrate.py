@@ -53,7 +53,6 @@ _WITH_REZERO = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     kind = parser.add_mutually_exclusive_group(required=True)
     add_option(kind, "--sensor", "SENSOR.yaml", "file that describes the sensor's dimensions and camera")
     add_option(kind, "--rezero", "CAL.npz", "replace only the reference in this calibration file")
@@ -224,7 +223,6 @@ def _print(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str
 
 
 def _fit_report(fitted: FitResult) -> dict[str, Any]:
-    """Return the result of the fit for ``--json``."""
     reports = {report.name: asdict(report) | {"kept": report.kept} for report in fitted.networks}
     for report in reports.values():
         del report["name"]
@@ -278,7 +276,6 @@ def _touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
 
 
 def _touch_report(results: Sequence[TouchResult]) -> dict[str, Any]:
-    """Return the touch models' figures for ``--json``."""
     touch = {}
     for one in results:
         reports = {each.name: asdict(each) for each in one.learnt.reports}

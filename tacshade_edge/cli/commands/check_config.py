@@ -14,7 +14,6 @@ from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     text = "settings file (default: %(default)s)"
     add_option(parser, "file", "FILE", text, nargs="?", default=DEFAULT_CONFIG)
     text = "print the JSON Schema of settings files instead of checking a file"

@@ -9,7 +9,6 @@ from tacshade_edge.cli.shared.options import need
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     parser.epilog = (
         "For bash, run: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; for "
         "zsh, run: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
@@ -18,7 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the shell's completion script."""
     need("completion", "completion", "shtab")
     import shtab
 

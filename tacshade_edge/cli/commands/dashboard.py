@@ -18,7 +18,6 @@ from tacshade_edge.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     add_verbosity(parser)
     text = "the broker's address and MQTT port, not its WebSocket port (default: localhost:1883)"
     add_option(parser, "--broker", "HOST:PORT", text, address(), default=("localhost", 1883))
@@ -40,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C."""
     need("dashboard", "dashboard", "websockets")
     from tacshade_edge.dashboard import server
     from tacshade_edge.dashboard.bridge import Broker

@@ -43,7 +43,6 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     text = f"port to serve the page on (default: {HTTP}, or any free port if {HTTP} is in use)"
     add_option(parser, "--http", "PORT", text, PORT)
     text = "address to listen on, such as 0.0.0.0 (default: 127.0.0.1, this machine only)"
@@ -142,7 +141,6 @@ def _addresses(host: str) -> tuple[str, ...]:
 
 
 def _free(host: str, port: int) -> int:
-    """Return the port itself, or another free one if it is taken."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -30,7 +30,6 @@ _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
     add_config(parser)
     add_sensor(parser)
     add_option(parser, "--bundle", "FILE", "write a zip file of diagnostics that you can send when you ask for help")
@@ -46,14 +45,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; return 78 for bad settings and 1 for any other fault."""
-    if args.with_frame and args.bundle is None:
-        args.parser.error("--with-frame: found no --bundle FILE, expected both")
+    mistakes = {
+        "--with-frame: found no --bundle FILE, expected both": args.with_frame and args.bundle is None,
+        "--bundle: found images to judge as well, expected one of the two": args.images and args.bundle is not None,
+        "--calibration: found no image to judge, expected at least one": args.calibration and not args.images,
+    }
+    for mistake, is_made in mistakes.items():
+        if is_made:
+            args.parser.error(mistake)
     if args.images:
-        if args.bundle is not None:
-            args.parser.error("--bundle: found images to judge as well, expected one of the two")
         return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
-    if args.calibration is not None:
-        args.parser.error("--calibration: found no image to judge, expected at least one")
     findings, seen = [], Seen()
     for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)
@@ -74,7 +75,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shown(finding: Finding, *, colour: bool) -> str:
-    """Return the finding as text: a line, and the fix in a second line."""
     state = f"{finding.state:<7}"
     if colour:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"

@@ -46,7 +46,6 @@ SIMULATED = ("sensors", "objects", "presses", "references")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     files = "evaluation.md, evaluation.csv, evaluation.json and figure6.png"
     study.add_arguments(parser, "default: all but paper, which is slow", files)
     own = parser.add_argument_group("your own frames with labels instead of surfaces")
@@ -64,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate, print the tables and write the files."""
     if args.labels is not None or args.sensor is not None or args.reference is not None:
         return _labelled(args)
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)

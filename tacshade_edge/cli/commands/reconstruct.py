@@ -31,7 +31,6 @@ _SUMMARY = "summary.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True)

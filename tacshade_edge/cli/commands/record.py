@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor, number
@@ -24,7 +25,6 @@ STATUS = "status/recorder"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_config(parser, "the daemon's settings")
     add_sensor(parser)
     add_option(parser, "--name", "NAME", f"name of the recording: {RECORD_NAME_RULE} (default: date and time)", _name)
@@ -75,18 +75,15 @@ def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Eve
     try:
         while not stop.is_set():
             status = _status(caller, folder)
-            if _over(status):
-                return status
-            if caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
+            if _over(status) or caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
                 return _last_words(caller, folder)
             if live:
                 figures = f"{status.get('frames', 0)} frames, {status.get('bytes', 0) / 1e6:.1f} MB"
                 print(f"\r{folder}: {figures}, {status.get('dropped', 0)} dropped ", end="", file=sys.stderr)
             caller.wait_for(stop.is_set, PERIOD_S)
-        try:
+        with suppress(DeviceError):  # it may have just ended by itself
             return caller.ask({"action": "stop"}, WRITTEN_S)
-        except DeviceError:  # it may have just ended by itself
-            return _last_words(caller, folder)
+        return _last_words(caller, folder)
     finally:
         if live:
             print(file=sys.stderr)
@@ -107,8 +104,7 @@ def _over(status: dict[str, Any]) -> bool:
 
 def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
     """Return the ``status/recorder`` of this recording; empty until it arrives."""
-    try:
+    with suppress(DecodeError):
         status = decode_object(STATUS, caller.latest(STATUS) or b"{}")
-    except DecodeError:
-        return {}
-    return status if status.get("folder") == folder else {}
+        return status if status.get("folder") == folder else {}
+    return {}

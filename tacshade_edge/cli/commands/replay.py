@@ -24,7 +24,6 @@ from tacshade_edge.storage.runs.run_files import RunWriter
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for heights.bin, clouds.bin and summary.json")

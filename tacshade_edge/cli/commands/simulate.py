@@ -53,7 +53,6 @@ _VARIED_MM, _VARIED_DEG = 0.4, 6.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_option(parser, "--out", "DIR", "folder for images, ground truth (.npz) and scenes.csv")
     text = "objects to press, such as ball,none (default: the paper's five)"
     add_option(parser, "--objects", "NAME,...", text, str, default=",".join(PAPER_OBJECTS))
@@ -85,7 +84,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the requested folders, and print a summary line for each."""
     if args.out is None and args.calibration_set is None and args.pad is None:
         args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
@@ -117,7 +115,6 @@ def _write_references(sensor: SimulatedSensor, folder: Path, seed: int) -> None:
 
 
 def _calibrate(at: str, more: str) -> str:
-    """Return the command that calibrates with the references in a folder, for a shell."""
     words = f"calibrate --sensor {at}/SENSOR.yaml --reference {at}/reference_*.png"
     return f"  tacshade-edge {words}{more} --out {at}/calibration.npz"
 
@@ -265,6 +262,5 @@ def _sensor(model: SensorModel) -> SimulatedSensor:
 
 
 def _image(task: _Task) -> bytes:
-    """Return the image of a press as the bytes of a PNG file."""
     shape = pads.touchpad().under(from_seven(task.pose), task.model.skin_radius_mm)
     return png(_sensor(task.model).frame((Press(shape, 0.0, 0.0, 0.0),), task.noise_seed).image)

@@ -43,7 +43,6 @@ _PLAN = "(see the plan in docs/how-to/stitching.md)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     source = parser.add_mutually_exclusive_group(required=True)
     add_option(source, "--poses", "POSES.csv", "table of images and the robot's poses (base_T_flange)")

@@ -28,7 +28,6 @@ def is_loopback(host: str) -> bool:
 
 
 def in_url(host: str) -> str:
-    """Return a host as it stands in a URL."""
     return f"[{host}]" if ":" in host else host
 
 
@@ -51,12 +50,10 @@ def make_token(path: Path | None) -> str:
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     if path is not None:
         try:
-            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-            with os.fdopen(descriptor, "w") as stream:
+            with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as stream:
                 stream.write(f"{token}\n")
         except OSError as error:
-            expected = "expected a path where the dashboard can create the file"
-            raise ConfigError(f"--token-file {path}: {error.strerror}, {expected}") from None
+            raise ConfigError(f"--token-file {path}: {error.strerror}, expected a path of a file to make") from None
     return token
 
 
@@ -70,9 +67,8 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
     try:
         # Without this password, OpenSSL would prompt for one at the terminal if the key is encrypted.
         context.load_cert_chain(certificate, key, password=lambda: "")
-    except (OSError, ssl.SSLError) as error:
-        is_of_file = type(error) is not ssl.SSLError and error.strerror
-        reason = error.strerror if is_of_file else "the key does not match the certificate"
+    except OSError as error:
         shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
-        raise ConfigError(f"{shown}: {reason}, expected PEM files with a certificate and its unencrypted key") from None
+        expected = "expected PEM files with a certificate and its own unencrypted key"
+        raise ConfigError(f"{shown}: {error.strerror or error}, {expected}") from None
     return context

@@ -33,7 +33,6 @@ Text = tuple[str, str, str]
 
 
 def add_verbosity(parser: argparse.ArgumentParser) -> None:
-    """Declare ``-v`` and ``-q``."""
     how = parser.add_mutually_exclusive_group()
     for short, name, level, text in (
         ("-v", "--verbose", logging.DEBUG, "log more detail, to help you find a fault"),
@@ -112,7 +111,6 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
         self._limit = Limit()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a message, or count it as left out."""
         now_s = time.monotonic()
         self._report(now_s)
         said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])  # without counts and measurements
@@ -120,7 +118,6 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
             super().emit(record)
 
     def close(self) -> None:
-        """Write how many messages were left out, then close."""
         self._report(time.monotonic(), all_of_them=True)
         super().close()
 

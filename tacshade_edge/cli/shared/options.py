@@ -19,7 +19,6 @@ DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
 
 def warn(line: object) -> None:
-    """Write a line to stderr."""
     print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
 
 
@@ -41,12 +40,10 @@ def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str]
 
 
 def add_config(parser: argparse.ArgumentParser, text: str = "settings file") -> None:
-    """Declare ``--config`` with the service's settings as its default."""
     add_option(parser, "--config", "FILE", f"{text} (default: %(default)s)", default=DEFAULT_CONFIG)
 
 
 def add_sensor(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--sensor``."""
     parser.add_argument("--sensor", metavar="ID", help="sensor to use, if the settings list several")
 
 

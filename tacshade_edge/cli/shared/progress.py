@@ -32,18 +32,19 @@ class Progress:
             self._what, self._began_s = what, now_s
             self._said_s = -math.inf if self._live else now_s
         is_last = done == total
-        if now_s - self._said_s < self._period_s and not (is_last and self._is_open):
+        if now_s - self._said_s < (_TERMINAL_PERIOD_S if self._live else PERIOD_S) and not (is_last and self._is_open):
             return
         self._said_s = now_s
-        counted = f"{done}" if total is None else f"{done}/{total}"
-        text = f"{what}: {counted}{self._left(now_s - self._began_s, done, total)}"
-        if self._live:
-            print(f"\r\033[K{text}", end="", file=self._stream, flush=True)
-            self._is_open = True
-            if is_last:
-                self.end()
-        else:
+        text = f"{what}: {done}" + (
+            "" if total is None else f"/{total}{self._left(now_s - self._began_s, done, total)}"
+        )
+        if not self._live:
             print(text, file=self._stream, flush=True)
+            return
+        print(f"\r\033[K{text}", end="", file=self._stream, flush=True)
+        self._is_open = True
+        if is_last:
+            self.end()
 
     def warn(self, line: object) -> None:
         """Write a separate line in place of the one that updates itself."""
@@ -52,18 +53,13 @@ class Progress:
         self._is_open = False
 
     def end(self) -> None:
-        """End the line that updates itself."""
         if self._is_open:
             print(file=self._stream, flush=True)
             self._is_open = False
 
-    @property
-    def _period_s(self) -> float:
-        return _TERMINAL_PERIOD_S if self._live else PERIOD_S
-
     @staticmethod
-    def _left(passed_s: float, done: int, total: int | None) -> str:
-        if total is None or not 0 < done < total or passed_s < _ESTIMATE_AFTER_S:
+    def _left(passed_s: float, done: int, total: int) -> str:
+        if not 0 < done < total or passed_s < _ESTIMATE_AFTER_S:
             return ""
         return f", {duration(passed_s * (total - done) / done)} left"
 

@@ -120,6 +120,5 @@ def make_folder(folder: Path | None) -> None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file. Raises DeviceError."""
     with disk_errors(path):
         path.write_bytes(content)
