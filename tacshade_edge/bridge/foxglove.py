@@ -7,13 +7,11 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from foxglove.messages import CompressedImage, FrameTransforms, Log, PointCloud, RawImage, SceneUpdate
 
 from tacshade_edge.bridge import foxglove_messages as made
-from tacshade_edge.bridge.roster import SENSORS_MAX as KNOWN_MAX
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Schema, Viewers
 from tacshade_edge.core.geometry.disc import Grid
@@ -57,14 +55,21 @@ _OWN: Final[dict[str, Schema]] = {"/tacshade/bridge": {"title": "tacshade.Bridge
 
 
 class _Sensor:
+    """One sensor: the channels that it has once it has published its `info`."""
+
     def __init__(self, sensor_id: str, viewers: Viewers) -> None:
         self._id, self._base = sensor_id, f"tacshade/{sensor_id}"
         self._viewers = viewers
-        schemas = {f"/{self._base}/{name}": schema for name, (schema, _) in _CHANNELS.items()}
-        self._channels = dict(zip(_CHANNELS, viewers.advertise(schemas), strict=True))
-        self._info = Info(geometry=None, profile="")
+        self._channels: dict[str, int] = {}
+        self.state: State | Literal[""] = ""
+        self._info: Info | None = None
         self._skin_ns = 0
         self._kept: dict[str, Callable[[], Any]] = {}
+
+    @property
+    def rank(self) -> int:
+        """0 without an `info`; higher if the sensor is calibrated or alive, as an invented one hardly is."""
+        return 0 if self._info is None else 1 + (self._info.geometry is not None) + (self.state in ALIVE)
 
     def close(self) -> None:
         self._viewers.withdraw(list(self._channels.values()))
@@ -85,6 +90,10 @@ class _Sensor:
 
     def place(self, info: Info) -> None:
         """Take over the sensor's geometry and its place on the robot."""
+        if not self._channels:
+            schemas = {f"/{self._base}/{name}": schema for name, (schema, _) in _CHANNELS.items()}
+            self._channels = dict(zip(_CHANNELS, self._viewers.advertise(schemas), strict=True))
+            _log.info("showing %s", self._id)
         self._info, now_ns = info, time.time_ns()
         self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
 
@@ -108,7 +117,7 @@ class _Sensor:
                 OF_SENSORS[topic].decode(topic, payload)
                 self._send(topic, lambda: payload)
             case "state":
-                state = decode_state(payload)
+                state = self.state = decode_state(payload)
                 self._line(topic, state, warns=state in ("degraded", "offline"))
             case "event/slip":
                 self._line(topic, payload[:_SLIP_BYTES_MAX].decode(errors="replace"), warns=True)
@@ -119,7 +128,9 @@ class _Sensor:
 
     def _height(self, payload: bytes) -> None:
         message: HeightMessage = OF_SENSORS["height"].decode("height", payload)
-        known = self._info.geometry
+        if (info := self._info) is None:
+            return
+        known = info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
                 f"height: found a height greater than the skin's radius, expected at most {known.skin_radius_mm:g} mm"
@@ -131,7 +142,6 @@ class _Sensor:
         self._skin_ns = message.t_ns
         rows, cols = message.height_mm.shape
         grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
-        info = self._info
         self._keep("skin", lambda: made.skin(message.height_mm, grid, info, self._id, message.wall_ns))
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -148,8 +158,8 @@ class _Sensor:
 
     def _send(self, name: str, message: Callable[[], Any]) -> None:
         """Make and send a message if a viewer watches its channel. Raises DecodeError."""
-        channel = self._channels[name]
-        if not self._viewers.watched(channel):
+        channel = self._channels.get(name)
+        if channel is None or not self._viewers.watched(channel):
             return
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
@@ -160,25 +170,6 @@ class _Sensor:
         self._viewers.send(channel, payload)
 
 
-@dataclass(slots=True)
-class _Known:
-    """What a sensor has published about itself; `shown` holds its channels while viewers can see it."""
-
-    state: State | Literal[""] = ""
-    info: Info | None = None
-    shown: _Sensor | None = None
-
-    @property
-    def rank(self) -> int:
-        """0 without an `info`; higher if the sensor is calibrated or alive, as an invented one hardly is."""
-        return 0 if self.info is None else 1 + (self.info.geometry is not None) + (self.state in ALIVE)
-
-    def close(self) -> None:
-        if self.shown is not None:
-            self.shown.close()
-            self.shown = None
-
-
 class FoxgloveBridge:
     """Serves sensors to viewers, all that publish if `sensors` is empty; port 0 picks any free port.
 
@@ -187,8 +178,10 @@ class FoxgloveBridge:
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
         self._sensors, self._follow = sensors, follow
-        self._roster: Roster[_Known] = Roster(lambda _: _Known(), lambda known: known.rank, _Known.close)
-        self._refusals = Refusals(time.monotonic)
+        self._roster: Roster[_Sensor] = Roster(
+            SENSORS_MAX, lambda name: _Sensor(name, self._viewers), lambda sensor: sensor.rank, _Sensor.close
+        )
+        self._refusals = Refusals()
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._changed.set()
@@ -215,14 +208,10 @@ class FoxgloveBridge:
                 return
             sensor_id, rest = found.groups()
             try:
-                match rest:
-                    case "info":
-                        self._hear_info(sensor_id, decode_info(payload))
-                    case "state":
-                        self._hear_state(sensor_id, decode_state(payload))
-                known = self._roster.get(sensor_id)
-                if known is not None and known.shown is not None and rest != "info":
-                    known.shown.hear(rest, payload)
+                if rest == "info":
+                    self._hear_info(sensor_id, decode_info(payload))
+                elif sensor := self._roster.of(sensor_id, 0) if rest == "state" else self._roster.get(sensor_id):
+                    sensor.hear(rest, payload)
             except DecodeError as error:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
@@ -238,40 +227,17 @@ class FoxgloveBridge:
         self._changed.clear()
         topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in self._sensors or ["+"] for name in ("info", "state")}
         with self._lock:
-            for _, known in self._roster:
-                if known.shown is not None:
-                    topics |= known.shown.wanted()
-                    known.shown.repeat()
+            for _, sensor in self._roster:
+                topics |= sensor.wanted()
+                sensor.repeat()
         self._follow(topics)
 
     def _hear_info(self, sensor_id: str, info: Info) -> None:
-        known = self._roster.of(sensor_id, 1 + (info.geometry is not None))
-        if known is None:
-            self._refusals.add("no_room", sensor_id, f"ignoring this sensor: {KNOWN_MAX} are already known, the limit")
+        sensor = self._roster.of(sensor_id, 1 + (info.geometry is not None))
+        if sensor is None:
+            self._refusals.add(
+                "no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are already shown, the limit"
+            )
             return
-        known.info = info
-        if known.shown is not None:
-            known.shown.place(info)
-        self._choose()
-
-    def _hear_state(self, sensor_id: str, state: State) -> None:
-        if (known := self._roster.of(sensor_id, 0)) is not None:
-            known.state = state
-            self._choose()
-
-    def _choose(self) -> None:
-        best = set(self._roster.best(SENSORS_MAX))
-        for sensor_id, known in self._roster:
-            if known.shown is not None and sensor_id not in best:
-                known.close()
-                _log.warning(
-                    "no longer showing %s, because only %d sensors can be shown and others publish more often",
-                    sensor_id,
-                    SENSORS_MAX,
-                )
-        for sensor_id, known in self._roster:
-            if known.shown is None and sensor_id in best and known.info is not None:
-                known.shown = _Sensor(sensor_id, self._viewers)
-                known.shown.place(known.info)
-                _log.info("showing %s", sensor_id)
-                self._changed.set()
+        sensor.place(info)
+        self._changed.set()

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 from prometheus_client import CollectorRegistry, Metric, MetricsHandler
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-from tacshade_edge.bridge.roster import SENSORS_MAX, Refusals, Roster
+from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.topics import ALIVE, STATES, Health, State, decode_health, decode_state
@@ -23,6 +23,7 @@ from tacshade_edge.protocol.topics import ALIVE, STATES, Health, State, decode_h
 FRESH_S: Final = 5.0
 """Age at which a sensor's `health`, published once a second, is out of date."""
 
+SENSORS_MAX: Final = 256
 CONNECTIONS_MAX: Final = 16
 """Limit on connections, each of which has a thread; further ones are closed at once."""
 _SPEAK_S: Final = 5.0
@@ -46,8 +47,8 @@ class SensorMetrics:
         self._clock_s = clock_s
         self.topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in sensors or ["+"] for name in ("state", "health")}
         self._lock = threading.Lock()
-        self._sensors: Roster[_Sensor] = Roster(lambda _: _Sensor(), self._rank)
-        self._refusals = Refusals(clock_s)
+        self._sensors: Roster[_Sensor] = Roster(SENSORS_MAX, lambda _: _Sensor(), self._rank)
+        self._refusals = Refusals()
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
         """Process a message from the broker. A retained `health` may be old: it only shows that the sensor has one."""

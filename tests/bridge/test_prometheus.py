@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from support.published_sensor import PublishedSensor, health
 
-from tacshade_edge.bridge.roster import SENSORS_MAX
 from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience, wait_until
 
@@ -104,14 +103,14 @@ def test_what_never_told_a_health_or_stopped_is_not_down() -> None:
 
 def test_real_hands_come_before_invented_ones() -> None:
     sensors = prometheus.SensorMetrics([])
-    for number in range(2 * SENSORS_MAX):
+    for number in range(2 * prometheus.SENSORS_MAX):
         sensors.hear(f"tacshade/a{number}/state", b"online", True)
     sensors.hear("tacshade/real/health", health(), True)
     assert up_of(sensors) == {"real": 0}
     sensors.hear("tacshade/other/health", health(), False)
     assert up_of(sensors) == {"other": 1, "real": 0}
     refused = {s.labels["why"]: s.value for f in sensors.collect() for s in f.samples if "refused" in f.name}
-    assert refused == {"undecodable": 0, "no_room": SENSORS_MAX, "unknown_topic": 0}
+    assert refused == {"undecodable": 0, "no_room": prometheus.SENSORS_MAX, "unknown_topic": 0}
 
 
 def hostile_healths() -> Iterator[bytes]:

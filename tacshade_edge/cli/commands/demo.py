@@ -12,9 +12,9 @@ import signal
 import socket
 import sys
 import tempfile
-import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -30,7 +30,6 @@ FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up
 HTTP: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
-ELSEWHERE: Final = ("192.0.2.1", 9)  # an address reserved for documentation (RFC 5737)
 STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _SETTINGS = """\
@@ -55,26 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
     need("demo", "demo", "websockets")  # before a minute of work
-    asked = threading.Event()
-
-    def stop(*_: object) -> None:
-        """Interrupt the current work and stop the children; a second Ctrl-C does not interrupt that."""
-        for number in STOP_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        asked.set()
-        raise KeyboardInterrupt
-
-    def end_if_asked() -> None:
-        """Raise the interrupt again if it was lost, as it is when raised in a destructor or a library's callback."""
-        if asked.is_set():
-            raise KeyboardInterrupt
-
     for number in STOP_SIGNALS:
-        signal.signal(number, stop)
+        signal.signal(number, signal.default_int_handler)
     me = [sys.executable, "-m", "tacshade_edge"]
     host = args.listen
     http = _free(host, HTTP) if args.http is None else args.http
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
+    with ExitStack() as stack, _stopped_by_a_signal():
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         children: list[Child] = []
 
@@ -97,7 +82,6 @@ def run(args: argparse.Namespace) -> int:
         dashboard = start("dashboard", page)
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
-        end_if_asked()
         if args.hand:
             settings = demo_hand.write(folder, mqtt)
             what = "Five simulated fingers hold a bottle"
@@ -105,12 +89,11 @@ def run(args: argparse.Namespace) -> int:
             settings = folder / "settings.yaml"
             settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
             what = "A simulated sensor presses and drags objects; soon a second one stitches a map"
-        end_if_asked()
         wait_for_port(broker, mqtt, START_S)
         start("daemon", [*me, "run", "--config", str(settings)])
         wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
-        shown = " or ".join(f"http://{in_url(name)}:{http}/{path}" for name in _addresses(host))
-        print(f"{what}: open {shown}", flush=True)
+        name = socket.gethostname() if host in ANY else host
+        print(f"{what}: open http://{in_url(name)}:{http}/{path}", flush=True)
         if not is_loopback(host):
             print("No encryption: others on the network can read the address and the page.", flush=True)
         print(f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.", flush=True)
@@ -123,21 +106,21 @@ def run(args: argparse.Namespace) -> int:
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(period_s, left_s))
-            end_if_asked()
             for child in children:
                 child.check()
             next(other)
     return 0
 
 
-def _addresses(host: str) -> tuple[str, ...]:
-    """Return the hosts under which to open the page: `host`, or for a wildcard this machine's address and name."""
-    if host not in ANY:
-        return (host,)
-    with socket.socket(type=socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.connect(ELSEWHERE)  # sends nothing, only looks up the route
-        return probe.getsockname()[0], socket.gethostname()
-    return (socket.gethostname(),)
+@contextmanager
+def _stopped_by_a_signal() -> Iterator[None]:
+    """Let a signal interrupt the work, but not the end of the children after it."""
+    try:
+        with suppress(KeyboardInterrupt):
+            yield
+    finally:
+        for number in STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _free(host: str, port: int) -> int:
