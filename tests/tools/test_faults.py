@@ -22,6 +22,6 @@ def test_a_fault(name: str) -> None:
 
 
 def test_kills() -> None:
-    text, problems = kills.run(10, 17, longest_s=1.0)
+    text, problems = kills.run(5, 17, longest_s=1.0)
     assert problems == []
-    assert "| all | 10 |" in text
+    assert "| all | 5 |" in text
