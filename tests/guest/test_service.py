@@ -82,9 +82,12 @@ def installed() -> None:
 
 @contextlib.contextmanager
 def plugged_in() -> Iterator[None]:
-    """A camera that shows the sensor's images; udev tells of it once it is set up, which takes the only user."""
+    """A camera that shows the sensor free for 2 s, touched for 4, and so on.
+
+    Udev reports it once it is set up, which takes the only user.
+    """
     sh("udevadm", "control", "--stop-exec-queue")
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "--rate", "5", str(GIVEN / "images.npy")]
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "--rate", "0.5", str(GIVEN / "images.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         try:

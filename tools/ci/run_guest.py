@@ -37,7 +37,7 @@ def give() -> None:
     GIVEN.mkdir(parents=True, exist_ok=True)
     calibration = enlarged_calibration()
     calibration_file.save(GIVEN / "calibration.npz", calibration)
-    np.save(GIVEN / "images.npy", np.stack([enlarged(FREE)] * 10 + [enlarged(TOUCHED)] * 20))
+    np.save(GIVEN / "images.npy", np.stack([enlarged(FREE), enlarged(TOUCHED), enlarged(TOUCHED)]))
     found = make_reconstructor(calibration, PROFILES[PROFILE]).step(Frame(0, 0, 0, enlarged(TOUCHED)))
     (GIVEN / "depth_mm").write_text(f"{np.nanmax(found.height.height_mm)}")
 

@@ -5,10 +5,9 @@
 
     python3 -m tools.rig.feed_video [--rate FPS] FRAMES
 
-FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), or a folder of such images as PNG, played in the order of their names,
-round and round. The kernel's test driver (vivid) is loaded with an HDMI output that is looped to its HDMI input:
-/dev/video0 captures 640x480 YUYV at 25 fps whose Y plane is the image that was last played. Prints ``playing`` when
-the first image can be captured; ends on SIGTERM.
+FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), played round and round. The kernel's test driver (vivid) is loaded with
+an HDMI output that is looped to its HDMI input: /dev/video0 captures 640x480 YUYV at 25 fps whose Y plane is the image
+that was last played. Prints ``playing`` when the first image can be captured; ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 CAPTURE, OUTPUT = "/dev/video0", "/dev/video1"
@@ -34,18 +32,12 @@ LOOP = "node_types=0x101 num_inputs=1 input_types=3 num_outputs=1 output_types=1
 
 def load(path: Path) -> list[bytes]:
     """YUYV bytes of every image; the chroma is neutral."""
-    if path.is_dir():
-        images = [cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in sorted(path.glob("*.png"))]
-    else:
-        images = list(np.load(path))
-    if not images or any(image is None or image.shape != SHAPE or image.dtype != np.uint8 for image in images):
+    images = np.load(path)
+    if images.shape[1:] != SHAPE or images.dtype != np.uint8:
         sys.exit(f"feed_video: {path}: expected grey images of {SHAPE[1]}x{SHAPE[0]}, 8 bit")
-    frames = []
-    for image in images:
-        frame = np.full((*SHAPE, 2), 128, np.uint8)
-        frame[..., 0] = np.asarray(image)
-        frames.append(frame.tobytes())
-    return frames
+    frames = np.full((*images.shape, 2), 128, np.uint8)
+    frames[..., 0] = images
+    return [frame.tobytes() for frame in frames]
 
 
 def set_up() -> None:
@@ -91,7 +83,7 @@ def _ctl(device: str, *arguments: str) -> str:
 def main() -> None:
     """Parse the command line and play."""
     parser = argparse.ArgumentParser(prog="feed_video.py", description="Play grey images as /dev/video0.")
-    parser.add_argument("frames", type=Path, metavar="FRAMES", help=".npy stack or folder of PNGs, 640x480")
+    parser.add_argument("frames", type=Path, metavar="FRAMES", help=".npy stack, 640x480")
     parser.add_argument("--rate", type=float, default=FPS, metavar="FPS", help=f"images a second ({FPS})")
     args = parser.parse_args()
     frames = load(args.frames)
