@@ -54,19 +54,15 @@ PAGES = {
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
-        r"^(Each sensor, all objects|Profiles|back mm|SD sum %|IoU|worst %|missed)$|^worst object "
-        r"|^(?!mean)\w+ \| (paper|fast|balanced) |^(?!mean|cone)\w+ \| accurate \|",
-        drawn=("figure6.png",),
+        r"^(Profiles|missed)$|^(?!mean)\w+ \| (paper|fast|balanced) |^(?!mean|cone)\w+ \| accurate \|",
     ),
     "drag": Page(
         {"": "tools.studies.drag --final"},
         r"^(frames|missed|refused|IoU|SD %|95 %)$|^\d.* \| (fast|balanced) ",
-        drawn=("drag.png",),
     ),
     "sigma": Page(
         {"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"},
         r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0 mm|2 mm|2.75 mm|4.5 mm) ",
-        drawn=("sigma.png",),
     ),
     "limits": Page(
         {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
@@ -76,11 +72,10 @@ PAGES = {
         r"|^(glare spot|moved by 1 px) \| \w+ \| 126|^not degraded$|^(nothing|light within|one side|warm-up"
         r"|moved by 1 px|noise of|pressed, |torn: (rows sideways by 200|one row|rows down|black)|black|white"
         r"|foreign: no skin|light x0)[^|]*\| \d+ \| ",
-        drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "tradeoff": Page(
-        {"": "tacshade_edge tradeoff"},
-        r"^(Stages of|IoU|SD %|depth off|fps|missed|phantoms|p99)|TV |stride 8|window|^paper \| halved",
+        {"": "tacshade_edge tradeoff --plot"},
+        r"^idle ms$",
         idle=True,
         drawn=("tradeoff.png",),
         own=("tacshade_edge/studies",),

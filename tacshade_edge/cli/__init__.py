@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("evaluate", "score profiles against ground truth, using the paper's Experiment 1 or your own images"),
     "tradeoff": (
         "tradeoff",
-        "measure the speed and accuracy of profiles on this machine, and choose one for a time budget",
+        "measure what outputs cost on this machine and how wrong they are, and choose settings for a need",
     ),
     "stitch": (
         "stitch",

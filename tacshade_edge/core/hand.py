@@ -25,7 +25,7 @@ LEVER_MM: Final = 20.0
 """Distance from the axis of the point whose travel measures a rotation."""
 SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2
 """Standard deviation of a change of shear along each axis, and its increase per mm that the patch moved, from fingers
-of a simulated hand on images, with skins that slid in part (`tools.studies.object_motion`)."""
+of a simulated hand on images, with skins that slid in part."""
 DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5
 """The same for a change of depth, which grows only over the first 1.5 mm."""
 TWIST_SD_RAD: Final = np.radians(4.0)

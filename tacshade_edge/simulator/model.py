@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from tacshade_edge.types import Disc, Geometry
+from tacshade_edge.types.calibration import Coordinate, Positive, require_bounds
 
 Surround = Literal["bright", "dark"]
+NotNegative = Annotated[float, Meta(ge=0, lt=1e6)]
+Part = Annotated[float, Meta(ge=0, le=1)]
 
 RIM_HALF_ANGLE_DEG = 72.0
 """Angle at O from +z at which the housing clamps the skin (h = 0); the visible circle must lie inside."""
@@ -42,75 +46,54 @@ class SensorModel:
     the skin.
     """
 
-    skin_radius_mm: float = 20.0
-    camera_distance_mm: float | None = 14.0
-    visible_half_angle_deg: float = 50.0
-    image_height_px: int = 480
-    image_width_px: int = 640
-    row_c: float = 236.4
-    col_c: float = 327.7
-    disc_radius_px: float = 205.0
-    pitch_mm: float = 1.9
-    lattice_rotation_deg: float = 7.0
-    pin_length_pitches: float = 1.6
-    pin_tip_radius_pitches: float = 0.36
-    pin_base_radius_pitches: float = 0.28
-    marker_radius_pitches: float = 0.42
-    position_tolerance_mm: float = 0.03
-    size_tolerance: float = 0.03
-    skin_decay_mm: float = 2.2
-    friction: float = 1.0
-    drag_decay_mm: float = 4.0
-    coulomb: float = 1.5
-    sway: float = 0.2
-    bulge: float = 0.0
-    pin_lag: float = 0.1
-    creep_part: float = 0.08
-    creep_s: float = 0.7
-    light: float = 205.0
-    vignetting: float = 0.35
-    marker_reflectance: float = 0.95
-    skin_reflectance: float = 0.14
-    pin_reflectance: float = 0.07
-    pin_tip_reflectance: float = 0.07
+    skin_radius_mm: Positive = 20.0
+    camera_distance_mm: Positive | None = 14.0
+    visible_half_angle_deg: Annotated[float, Meta(ge=5, le=MAX_VISIBLE_HALF_ANGLE_DEG)] = 50.0
+    image_height_px: Annotated[int, Meta(gt=0)] = 480
+    image_width_px: Annotated[int, Meta(gt=0)] = 640
+    row_c: Coordinate = 236.4
+    col_c: Coordinate = 327.7
+    disc_radius_px: Positive = 205.0
+    pitch_mm: Positive = 1.9
+    lattice_rotation_deg: NotNegative = 7.0
+    pin_length_pitches: Positive = 1.6
+    pin_tip_radius_pitches: Positive = 0.36
+    pin_base_radius_pitches: Positive = 0.28
+    marker_radius_pitches: Positive = 0.42
+    position_tolerance_mm: NotNegative = 0.03
+    size_tolerance: NotNegative = 0.03
+    skin_decay_mm: Positive = 2.2
+    friction: Part = 1.0
+    drag_decay_mm: Positive = 4.0
+    coulomb: NotNegative = 1.5
+    sway: Annotated[float, Meta(ge=0, le=0.9)] = 0.2
+    bulge: Part = 0.0
+    pin_lag: Part = 0.1
+    creep_part: Annotated[float, Meta(ge=0, le=1 / 9)] = 0.08
+    creep_s: Positive = 0.7
+    light: NotNegative = 205.0
+    vignetting: NotNegative = 0.35
+    marker_reflectance: NotNegative = 0.95
+    skin_reflectance: NotNegative = 0.14
+    pin_reflectance: NotNegative = 0.07
+    pin_tip_reflectance: NotNegative = 0.07
     colour_bgr: tuple[float, float, float] = (1.08, 1.0, 0.93)
-    blur_px: float = 0.7
-    read_noise_grey: float = 1.5
-    shot_noise_grey: float = 2.5
+    blur_px: NotNegative = 0.7
+    read_noise_grey: NotNegative = 1.5
+    shot_noise_grey: NotNegative = 2.5
     surround: Surround = "bright"
     specular_spots: int = 4
     print_seed: int = 0
 
     def __post_init__(self) -> None:
         """Raise ValueError with the parameter's name for a value that cannot be simulated."""
-        positive = (
-            "skin_radius_mm", "image_height_px", "image_width_px", "disc_radius_px", "pitch_mm", "skin_decay_mm",
-            "drag_decay_mm", "creep_s",
-            "pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches",
-        )  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} is {value}, expected a positive number")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.type == "float" and not (math.isfinite(value) and (value >= 0 or "_c" in field.name)):
-                raise ValueError(f"{field.name} is {value}, expected a finite number of at least 0")
-        if not 5.0 <= self.visible_half_angle_deg <= MAX_VISIBLE_HALF_ANGLE_DEG:
-            raise ValueError(
-                f"visible_half_angle_deg is {self.visible_half_angle_deg}, expected 5 to {MAX_VISIBLE_HALF_ANGLE_DEG}"
-            )
+        require_bounds(self)
         if self.pitch_mm > self.skin_radius_mm / 3 or self.pitch_mm < self.skin_radius_mm / 50:
             raise ValueError(f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm")
         if self.pin_length_pitches * self.pitch_mm > self.skin_radius_mm / 2:
             raise ValueError(
                 f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
             )
-        if self.camera_distance_mm is not None and not 0 < self.camera_distance_mm < math.inf:
-            raise ValueError(f"camera_distance_mm is {self.camera_distance_mm}, expected a positive number or None")
-        for name, most in (("friction", 1.0), ("sway", 0.9), ("bulge", 1.0), ("pin_lag", 1.0), ("creep_part", 1 / 9)):
-            if getattr(self, name) > most:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to {most:g}")
         if self.surround not in ("bright", "dark"):
             raise ValueError(f"surround is {self.surround!r}, expected bright or dark")
 

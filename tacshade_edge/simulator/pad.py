@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Protocol
 
 import numpy as np
 
@@ -92,11 +91,6 @@ class Pad:
     length_mm: float
     bulges: tuple[Bulge, ...]
 
-    @property
-    def top_mm(self) -> float:
-        """The z in mm of what stands highest."""
-        return BULGE_HEIGHT_MM
-
     def height_mm(self, x: F64, y: F64) -> F64:
         """The top's z in mm at points of the plane."""
         return reduce(np.maximum, (_top_mm(b.outline(x, y)) for b in self.bulges), np.zeros_like(x))
@@ -149,45 +143,18 @@ def touchpad() -> Pad:
     return Pad(90.0, 70.0, (*curves, ring, *fences, alone, *dots))
 
 
-class Surface(Protocol):
-    """A surface that a robot scans with presses: `Pad`, `Relief`."""
-
-    @property
-    def width_mm(self) -> float:
-        """Extent along x, from 0."""
-        ...
-
-    @property
-    def length_mm(self) -> float:
-        """Extent along y, from 0."""
-        ...
-
-    @property
-    def top_mm(self) -> float:
-        """The z in mm of what stands highest."""
-        ...
-
-    def height_mm(self, x: F64, y: F64) -> F64:
-        """The top's z in mm at points of the plane."""
-        ...
-
-    def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
-        """The surface under a sensor at a pose, as in `Pad.under`."""
-        ...
-
-
-def raster(surface: Surface, step_mm: float) -> F32:
+def raster(pad: Pad, step_mm: float) -> F32:
     """Heights in mm at (j step, i step): float32 (rows, cols)."""
-    x = np.arange(round(surface.width_mm / step_mm) + 1) * step_mm
-    y = np.arange(round(surface.length_mm / step_mm) + 1) * step_mm
-    return surface.height_mm(*np.meshgrid(x, y)).astype(np.float32)
+    x = np.arange(round(pad.width_mm / step_mm) + 1) * step_mm
+    y = np.arange(round(pad.length_mm / step_mm) + 1) * step_mm
+    return pad.height_mm(*np.meshgrid(x, y)).astype(np.float32)
 
 
-def scan(pad: Surface, step_mm: float, depth_mm: float, skin_radius_mm: float) -> list[Rigid]:
+def scan(pad: Pad, step_mm: float, depth_mm: float, skin_radius_mm: float) -> list[Rigid]:
     """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro,
     with the undeformed apex `depth_mm` below the highest point.
     """
-    z = pad.top_mm - depth_mm + skin_radius_mm
+    z = BULGE_HEIGHT_MM - depth_mm + skin_radius_mm
     xs, ys = (np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist() for side in (pad.width_mm, pad.length_mm))
     return [shift(x, y, z) @ _DOWN for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else reversed(xs))]
 

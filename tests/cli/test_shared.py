@@ -18,7 +18,6 @@ import pytest
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.logs import AT_ONCE, PERIOD_S, Limit, OneLineHandler
 from tacshade_edge.cli.shared.progress import Progress, duration
-from tacshade_edge.studies.evaluate.picture import PACKAGES
 
 Written = tuple[logging.Logger, OneLineHandler, io.StringIO]
 
@@ -179,15 +178,15 @@ def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-def test_without_a_package_the_pictures_are_missing_and_a_line_says_so(
+def test_without_matplotlib_the_plots_are_missing_and_a_line_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    args, package = argparse.Namespace(out=tmp_path), PACKAGES[0]
-    assert study.will_draw(args, "figure6.png", PACKAGES)
+    args = argparse.Namespace(out=tmp_path)
+    assert study.will_draw(args, "tradeoff.png")
     assert capsys.readouterr().err == ""
-    monkeypatch.setitem(sys.modules, package, None)
-    assert not study.will_draw(args, "figure6.png", PACKAGES)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert not study.will_draw(args, "tradeoff.png")
     install = "pip install '.[studies]' in the clone"
-    assert capsys.readouterr().err == f"tacshade-edge: figure6.png will be missing without {package}: {install}\n"
-    assert not study.will_draw(argparse.Namespace(out=None), "figure6.png", PACKAGES)
+    assert capsys.readouterr().err == f"tacshade-edge: tradeoff.png will be missing without matplotlib: {install}\n"
+    assert not study.will_draw(argparse.Namespace(out=None), "tradeoff.png")
     assert capsys.readouterr().err == ""

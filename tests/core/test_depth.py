@@ -23,11 +23,10 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import REACH
 from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tradeoff.measure import scaled_grey
 from tacshade_edge.types import F32, F64, Bool, Disc, Geometry
 
 ALPHA_MM = 3.0
-METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth, "grey": scaled_grey}
+METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth}
 """From grey maps to depth: with eq. 11 and without."""
 
 

@@ -60,22 +60,6 @@ def test_the_traction_is_the_difference_of_two_pressures(friction: float) -> Non
     assert np.abs(w[1]).max() < 1e-6
 
 
-@pytest.mark.parametrize("part", [0.2, 0.5, 0.8])
-def test_the_stick_radius_of_a_ball_on_springs(part: float) -> None:
-    # Without a membrane (mass large) the pressure is a paraboloid, and c = a (1 - Q / μP)^(1/4).
-    obstacle, mass = flat_problem(500.0, 4.0), np.full((141, 141), 1e4, np.float32)
-    shift = np.float32(4.0 * part)
-    limit = np.maximum(obstacle, 0) * mass
-    held = np.zeros((2, 141, 141), np.float32)
-    held[1][limit > 0] = shift
-    w = slid(held, limit, mass)[1]
-    stuck = math.sqrt(np.count_nonzero(w > 0.999 * shift) / math.pi)
-    whole = math.sqrt(np.count_nonzero(limit > 0) / math.pi)
-    force = float((w * mass).sum() / limit.sum())
-    assert stuck == pytest.approx(whole * (1 - force) ** 0.25, abs=1.0)
-    assert np.all(w <= limit / mass + 5e-3)
-
-
 @pytest.mark.parametrize("name", ["ball", "cube", "ring"])
 def test_skin_that_sticks_goes_with_the_object(name: str) -> None:
     press = Press(OBJECTS[name](), 2.0, -1.0, 3.0, 20.0, drag_x_mm=1.2, drag_y_mm=-0.8, twist_deg=5.0)
@@ -90,14 +74,6 @@ def test_skin_that_sticks_goes_with_the_object(name: str) -> None:
     assert frame.skin.stuck[0] > 0.9
     assert np.median(off) < 0.03
     assert np.quantile(off, 0.95) < 0.25  # of the outermost cells of the contact
-
-
-def test_skin_without_friction_stays() -> None:
-    press = Press(ball(), 1.0, 0.0, 3.0, drag_x_mm=3.0)
-    skin = dragged(SensorModel(coulomb=0.0), press)
-    assert skin.origin_mm is not None
-    assert np.abs(skin.origin_mm).max() < 1e-3
-    assert skin.stuck == (0.0,)
 
 
 def test_more_drag_sticks_less_and_what_is_not_dragged_is_as_it_was() -> None:
@@ -140,15 +116,6 @@ def test_a_dome_full_of_gel_keeps_its_volume() -> None:
     assert out.max() > 0.5
     assert max(abs(out[0]), abs(out[-1])) < 1e-4
     assert dragged(replace(model, bulge=0.0), Press(OBJECTS["plate"](), 0.0, 0.0, 4.0)).leaning_mm is None
-
-
-def test_of_two_contacts_each_takes_its_own_skin_along() -> None:
-    one = Press(ball(3.0), -6.0, 0.0, 2.5, drag_y_mm=1.0)
-    other = Press(ball(3.0), 6.0, 0.0, 2.5, drag_y_mm=-1.0)
-    skin = dragged(replace(STICKY, drag_decay_mm=2.5), one, other)
-    for press in (one, other):
-        at = surface(skin, np.array([press.x_mm * 1.02]), np.zeros(1))
-        assert shear_mm(skin, at, 1.0)[0, 1] == pytest.approx(press.drag_y_mm, abs=0.1)
 
 
 def test_what_is_drawn_is_what_is_true() -> None:

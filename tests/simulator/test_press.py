@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.rigid import from_seven, turn
 from tacshade_edge.simulator import pad as pads
-from tacshade_edge.simulator.press import OBJECTS, Press, ball, bars, distance_mm, distances_mm, ridge
+from tacshade_edge.simulator.press import OBJECTS, Press, ball, distance_mm
 from tacshade_edge.simulator.skin import press_skin
 
 RNG = np.random.default_rng(0)
@@ -60,16 +60,6 @@ def test_a_ball_without_radius_is_refused() -> None:
         ball(0.0)
 
 
-def test_bars_and_ridge_have_the_stated_width_and_gap() -> None:
-    x = np.linspace(-6, 6, 1201)
-    points = np.stack((x, 0 * x, 0 * x + 1.0), axis=1)
-    inside = bars(2.0, 3.0).sdf(points) < 0
-    np.testing.assert_allclose(np.abs(x[inside]).min(), 1.5, atol=0.011)
-    np.testing.assert_allclose(np.abs(x[inside]).max(), 3.5, atol=0.011)
-    inside = ridge(0.6).sdf(points) < 0
-    np.testing.assert_allclose(np.abs(x[inside]).max(), 0.3, atol=0.011)
-
-
 @pytest.mark.parametrize(("tilt_x_deg", "tilt_y_deg"), [(15.0, 0.0), (0.0, -25.0), (10.0, 10.0)])
 def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: float, tilt_y_deg: float) -> None:
     press = Press(OBJECTS["cylinder"](), 1.0, 2.0, 3.0, 0.0, 1.1, tilt_x_deg, tilt_y_deg)
@@ -80,15 +70,6 @@ def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: fl
     x, y = (v.ravel() for v in np.meshgrid(axis + 1.0, axis + 2.0))
     below = np.column_stack((x, y, np.full(x.shape, press.lowest_z_mm(R_MM))))
     assert distance_mm((press,), R_MM, below).min() == pytest.approx(0, abs=0.01)
-
-
-def test_a_tilted_ball_is_a_ball() -> None:
-    press = Press(ball(5.0), 1.0, 2.0, 3.0, 30.0, 1.0, 20.0, -10.0)
-    assert press.lowest_z_mm(R_MM) == Press(ball(5.0), 1.0, 2.0, 3.0).lowest_z_mm(R_MM)
-    # Its centre leans over its origin; what is lowest of it is as low as before.
-    centre = np.array((1.0, 2.0, press.origin_z_mm(R_MM))) + press.tilt() @ (0.0, 0.0, 5.0)
-    assert centre[2] - 5.0 == pytest.approx(press.lowest_z_mm(R_MM), abs=2e-3)
-    assert distance_mm((press,), R_MM, centre[None])[0] == pytest.approx(-5.0, abs=1e-6)
 
 
 def test_tilt_is_about_x_then_y() -> None:
@@ -106,14 +87,6 @@ def test_where_a_point_was_before_it_was_dragged_and_turned() -> None:
     np.testing.assert_allclose(press.before_drag(np.array([[3.0, 1.0]])), [[2.5, 1.25]])
     # From x towards y: what is now along y was along x.
     np.testing.assert_allclose(press.before_drag(np.array([[3.0, 2.0]])), [[3.5, 1.25]], atol=1e-12)
-
-
-def test_the_distance_to_several_is_that_to_the_nearest() -> None:
-    presses = (Press(ball(3.0), -4.0), Press(ball(2.0), 4.0))
-    points = np.random.default_rng(1).uniform(-9, 20, (50, 3))
-    each = distances_mm(presses, R_MM, points)
-    assert each.shape == (2, 50)
-    np.testing.assert_array_equal(distance_mm(presses, R_MM, points), each.min(axis=0))
 
 
 PAD_RNG = np.random.default_rng(3)
@@ -140,22 +113,6 @@ def test_the_distance_to_a_pad_never_overestimates() -> None:
     assert np.all(change <= np.linalg.norm(step, axis=1) + 1e-9)
 
 
-@pytest.mark.parametrize(
-    ("bulge", "inside", "edge"),
-    [
-        (pads.Bar(0, 0, 10, 0, 2), (5, 0), (5, 1)),
-        (pads.Arc(0, 0, 5, 2), (-5, 0), (0, -6)),
-        (pads.Arc(0, 0, 5, 2, 0, 180), (0, 5), (5, -1)),
-        (pads.Dot(1, 1, 2), (1, 1), (3, 1)),
-    ],
-)
-def test_outlines(bulge: pads.Bulge, inside: tuple[float, float], edge: tuple[float, float]) -> None:
-    x, y = np.array((inside, edge), float).T
-    distance = bulge.outline(x, y)
-    assert distance[0] <= -1
-    assert distance[1] == pytest.approx(0, abs=1e-9)
-
-
 def test_the_scan_covers_the_pad_at_one_depth() -> None:
     poses = pads.scan(PAD, 8.0, 2.0, RADIUS_MM)
     apex = np.stack([p.apply(np.array((0, 0, RADIUS_MM))) for p in poses])
@@ -174,19 +131,3 @@ def test_the_skin_meets_what_lies_under_it() -> None:
     middle = skin.height_mm.shape[0] // 2
     assert skin.height_mm[middle, middle] == pytest.approx(2.0, abs=0.02)
     assert skin.height_mm.max() == pytest.approx(2.0, abs=0.1)
-
-
-def test_noise_is_what_it_says() -> None:
-    poses = pads.scan(PAD, 3.0, 2.0, RADIUS_MM)
-    noisy = pads.disturbed(poses, RADIUS_MM, 0.3, 1.0, seed=1)
-    apex = np.array((0, 0, RADIUS_MM))
-    off = np.stack([n.apply(apex) - p.apply(apex) for n, p in zip(noisy, poses, strict=True)])
-    np.testing.assert_allclose(off.std(axis=0), 0.3, rtol=0.1)
-    angles = [
-        math.acos(min(1.0, (np.trace(p.rotation.T @ n.rotation) - 1) / 2)) for n, p in zip(noisy, poses, strict=True)
-    ]
-    assert math.degrees(math.sqrt(np.mean(np.square(angles)))) == pytest.approx(1.0, rel=0.1)
-    tilted = pads.varied(poses, RADIUS_MM, 0.4, 6.0, seed=1)
-    off = np.stack([n.apply(apex) - p.apply(apex) for n, p in zip(tilted, poses, strict=True)])
-    assert np.abs(off[:, :2]).max() < 1e-9
-    assert 0.35 < np.abs(off[:, 2]).max() <= 0.4

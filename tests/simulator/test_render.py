@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.simulator.model import SensorModel, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press, ball, distance_mm
-from tacshade_edge.simulator.render import Renderer, _on_skin, carried, print_features, project
+from tacshade_edge.simulator.render import Renderer, project
 from tacshade_edge.simulator.skin import press_skin, undeformed
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.types import F32
@@ -63,13 +63,6 @@ def test_projection_meets_the_formula_of_the_pinhole() -> None:
     )
 
 
-def test_orthographic_projection_has_one_scale() -> None:
-    geometry = replace(MODEL, camera_distance_mm=None).geometry
-    k = 205.0 / (20.0 * math.sin(math.radians(50.0)))
-    for z in (5.0, 20.0):
-        assert project(geometry, np.array([3.0, -2.0, z])) == pytest.approx((327.7 + 3 * k, 236.4 - 2 * k))
-
-
 def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
     # Pins out of the way and small markers: each blob's centre is where the formula puts the marker.
     model = replace(
@@ -93,15 +86,6 @@ def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
     assert np.abs(errors).max() < 0.4
 
 
-def test_lattice_has_two_markers_to_a_pin_at_the_pitch() -> None:
-    marks = print_features(replace(MODEL, position_tolerance_mm=0.0))
-    inner = np.linalg.norm(marks.pin_chart_mm, axis=1) < 6
-    gaps = np.linalg.norm(marks.pin_chart_mm[inner][:, None] - marks.pin_chart_mm[None], axis=2)
-    gaps[gaps == 0] = np.inf
-    assert gaps.min(axis=1) == pytest.approx(MODEL.pitch_mm, rel=0.02)
-    assert len(marks.marker_chart_mm) / len(marks.pin_chart_mm) == pytest.approx(2.0, rel=0.05)
-
-
 def test_same_seed_same_frame_other_seed_other_noise(small_sensor: SimulatedSensor) -> None:
     press = (Press(OBJECTS["ball"](), 1.0, 2.0, 2.0),)
     one, same = small_sensor.frame(press, 4), SimulatedSensor(small_sensor.model).frame(press, 4)
@@ -117,35 +101,6 @@ def test_noise_has_the_models_variance() -> None:
         assert image.mean() == pytest.approx(level, abs=0.05)
         # 1/12: the rounding to whole grey levels.
         assert image.var() == pytest.approx(4.0 + 16.0 * level / 255 + 1 / 12, rel=0.02)
-
-
-@pytest.mark.parametrize(("height", "width", "radius"), [(1, 1, 0.4), (12, 16, 5.0), (24, 40, 30.0)])
-def test_tiny_and_cropped_images(height: int, width: int, radius: float) -> None:
-    model = replace(
-        MODEL,
-        image_height_px=height,
-        image_width_px=width,
-        row_c=(height - 1) / 2,
-        col_c=(width - 1) / 2,
-        disc_radius_px=radius,
-    )
-    frame = SimulatedSensor(model).frame((Press(OBJECTS["cube"](), 0.0, 0.0, 8.0),))
-    assert frame.image.shape == (height, width, 3)
-    truth = frame.truth()
-    assert np.isfinite(truth.height_mm[height // 2, width // 2])
-    assert truth.height_mm[height // 2, width // 2] > 7.0
-
-
-def test_friction_carries_the_skin_along_z() -> None:
-    # What sticks keeps its x and y; what slides moves along the radius and so towards the axis.
-    press = (Press(OBJECTS["plate"](), 0.0, 0.0, 3.0),)
-    skin, chart, at = press_skin(20.0, 2.2, press), np.array([[5.0, 0.0]]), {}
-    for friction in (0.0, 1.0):
-        direction, moved = carried(skin, chart, friction)
-        at[friction] = _on_skin(skin, direction, moved)[0]
-    x = 20.0 * 5.0 / 20.0 / (1 + (5.0 / 20.0) ** 2 / 4)
-    assert at[1.0] == pytest.approx((x, 0.0, 17.0), abs=0.06)  # displaced to first order in h
-    assert at[0.0][0] == pytest.approx(17.0 * math.tan(2 * math.atan(5.0 / 40.0)), abs=0.01)
 
 
 @pytest.mark.parametrize("camera_distance_mm", [14.0, 6.0, None])
@@ -185,24 +140,6 @@ def test_points_are_the_contact_pixels_skin(small_sensor: SimulatedSensor) -> No
     heights = 20.0 - np.linalg.norm(truth.points_mm, axis=1)
     assert heights == pytest.approx(truth.height_mm[truth.contact], abs=1e-4)
     assert truth.depth_max_mm == pytest.approx(np.nanmax(truth.height_mm))
-
-
-@pytest.mark.slow
-def test_a_flat_face_in_contact_is_flat(sensor: SimulatedSensor) -> None:
-    truth = sensor.frame((Press(OBJECTS["cylinder"](), 0.0, 0.0, 3.0),)).truth()
-    inner = np.hypot(truth.points_mm[:, 0], truth.points_mm[:, 1]) < 4.5
-    assert truth.points_mm[inner, 2] == pytest.approx(17.0, abs=0.005)
-    # The face of radius 5 less its rounding is all contact: its area is that of its pixels.
-    radius = np.hypot(truth.points_mm[:, 0], truth.points_mm[:, 1])
-    assert 4.6 < np.quantile(radius, 0.99) < 5.1
-
-
-def test_object_points_are_on_the_object_inside_the_skin(small_sensor: SimulatedSensor) -> None:
-    press = Press(OBJECTS["ring"](), 1.0, 1.0, 4.0)
-    points = small_sensor.frame((press,)).truth().object_points_mm
-    assert len(points) > 500
-    assert np.abs(distance_mm([press], 20.0, points)).max() < 1e-3
-    assert np.linalg.norm(points, axis=1).max() <= 20.0
 
 
 @pytest.mark.slow

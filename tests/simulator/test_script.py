@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from support.examples import examples
 
 from tacshade_edge.rigid import turn
-from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.drag import SLIDES, loads_of
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, ball
@@ -55,12 +54,6 @@ def test_the_demonstration_drags_twists_and_slips() -> None:
     assert last[4].twist_deg == 10.0
 
 
-@pytest.mark.parametrize("change", [{"presses": ()}, {"hold": 0}])
-def test_an_empty_script_is_refused(change: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="script needs"):
-        Script(**({"presses": (Press(ball()),)} | change))
-
-
 def test_presses_cover_radii_depths_and_the_disc() -> None:
     drawn = ball_presses(SensorModel(), 40)
     radii, depths = [r for _, r in drawn], [p.depth_mm for p, _ in drawn]
@@ -98,11 +91,6 @@ def test_pressure_pushes_along_the_radius_and_traction_pulls_against_the_skins_d
     turned = load.turned(turn((0.0, 0.0, math.pi / 2)).rotation)
     assert turned.push_mm3 == pytest.approx((0.0, 0.15, 0.7))
     assert turned.shear_mm3 == load.shear_mm3
-
-
-def test_a_contact_without_pressure_has_no_margin() -> None:
-    nothing = np.zeros((0, 3))
-    assert summed(nothing, nothing, np.zeros(0), np.zeros((0, 2)), 0.25, 0.0).margin(1.5) == 0.0
 
 
 @pytest.mark.slow
@@ -166,19 +154,3 @@ def test_random_models_are_valid_inside_the_image_and_repeatable(seed: int) -> N
     assert model == random_model(seed)
     for centre, size in ((model.row_c, model.image_height_px), (model.col_c, model.image_width_px)):
         assert model.disc_radius_px <= centre <= size - 1 - model.disc_radius_px
-
-
-IMAGE = np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3).astype(np.uint8)
-
-
-def test_gain_scales_and_clips() -> None:
-    assert np.array_equal(camera_faults.gain(IMAGE, 1.0), IMAGE)
-    assert camera_faults.gain(np.full((2, 2), 100, np.uint8), 0.9).tolist() == [[90, 90], [90, 90]]
-    assert camera_faults.gain(np.full((2, 2), 250, np.uint8), 1.1).max() == 255
-
-
-@pytest.mark.parametrize(("rows", "cols"), [(1, 0), (-2, 3), (0, 0)])
-def test_shift_moves_by_whole_pixels(rows: int, cols: int) -> None:
-    result = camera_faults.shift(IMAGE, rows, cols)
-    assert np.array_equal(result[10 + rows, 10 + cols], IMAGE[10, 10])
-    assert result.shape == IMAGE.shape

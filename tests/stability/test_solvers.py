@@ -24,11 +24,10 @@ from tacshade_edge.core.image.greyscale import chambolle, denoise_tv, normalise,
 from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
 from tacshade_edge.core.image.white import BoxSums, CellMeans, Integrator, binarise
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tradeoff.measure import scaled_grey
 from tacshade_edge.types import F32, F64, U8, Binarisation, Bool, Disc
 
 ALPHA_MM = 3.0
-METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth, "grey": scaled_grey}
+METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth}
 """From grey maps to depth: with eq. 11 and without."""
 WEIGHTS = sorted({p.tv_weight for p in PROFILES.values() if p.tv_weight > 0} | {1e-3, 1.0, 100.0})
 LONG_BOUND = 0.02 / 255  # 0.02 grey levels

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +57,6 @@ def test_an_empty_cloud_has_failed() -> None:
     assert (score.sd, score.sd_sum) == (0.0, 0.0)
 
 
-def test_overlap_of_contacts() -> None:
-    none, half, full = np.zeros(4, bool), np.array([1, 1, 0, 0], bool), np.ones(4, bool)
-    assert contact_iou(none, none) == 1
-    assert contact_iou(none, full) == 0
-    assert contact_iou(half, full) == contact_iou(full, half) == 0.5
-
-
 LABEL = Label("painted", "ball")
 NOTHING = np.zeros((0, 3), dtype=np.float32)
 
@@ -86,19 +79,6 @@ def test_a_perfect_result() -> None:
     assert (row.me_mm, row.sd_pct, row.sd_sum_pct, row.backward_mm, row.iou) == (0, 100, 100, 0, 1)
     assert row.depth_error_pct == pytest.approx(0, abs=1e-4)
     assert row.points == row.true_points > 0
-
-
-def test_the_scores_are_those_of_the_metrics() -> None:
-    result = found(touched=True)
-    exact = truth_of(result)
-    moved = replace(
-        exact, points_mm=exact.points_mm + np.float32(0.7), depth_max_mm=2.0, contact=~result.height.contact
-    )
-    row, direct = score(LABEL, moved, result), score_cloud(result.cloud.points_mm, moved.points_mm, 2.0)
-    assert (row.me_mm, row.sd_pct, row.sd_sum_pct) == (direct.me_mm, 100 * direct.sd, 100 * direct.sd_sum)
-    assert row.backward_mm == direct.backward_mm
-    assert row.iou == 0
-    assert row.depth_error_pct == pytest.approx(100 * (result.depth_max_mm / 2 - 1))
 
 
 def test_a_missed_contact_and_a_phantom() -> None:
@@ -189,9 +169,7 @@ class Heard:
 def scored(folder: Path) -> tuple[list[Row], list[str]]:
     heard = Heard([])
     cases = read_images(CALIBRATION, "mine", sorted(folder.glob("*.png")), heard.progress, heard.mistake)
-    rows, timings = evaluate_images(CALIBRATION, ("fast",), cases)
-    assert not rows or timings["fast"].p50_ms > 0
-    return rows, heard.lines
+    return evaluate_images(CALIBRATION, ("fast",), cases), heard.lines
 
 
 def test_own_images_score_as_the_metrics_do(tmp_path: Path) -> None:
@@ -222,39 +200,26 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
     assert row.me_mm > 0
 
 
-def test_a_truth_on_a_grid_of_its_own(tmp_path: Path) -> None:
-    whole = truth()
-    coarse = {key: whole[key][2::4, 2::4] for key in ("height_mm", "contact")}
-    np.savez(tmp_path / "t.npz", **coarse, row0=2.0, col0=2.0, step_px=4.0)
-    known, _ = read_truth(tmp_path / "t.npz", SIZE, CALIBRATION.geometry)
-    grid = reconstructor(CALIBRATION, "fast").step(Frame(0, 0, 0, TOUCHED)).height
-    np.testing.assert_array_equal(known.contact_on(grid), at_cells(coarse["contact"], grid, first_px=2, step_px=4))
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (truth(contact=None), "found the keys height_mm, object; expected points_mm, or height_mm and contact"),
-        ({}, "found the keys none; expected"),
         (
             truth(contact=np.zeros((30, 40), bool)),
             "contact: found 40x30 cells of 1 px, expected cells that cover the image's",
         ),
-        (truth(row0=50.0), "expected cells that cover the image's 160x120 px"),
         (truth(height_mm=np.full(SIZE, np.nan)), "height_mm: found NaN inside the contact"),
         (
             truth(points_mm=np.zeros((4, 2))),
             "points_mm: found numbers of shape (4, 2), expected the shape (N, 3)",
         ),
-        (truth(points_mm=np.full((4, 3), np.nan)), "points_mm: found NaN"),
         (truth(points_mm=np.full((4, 3), 1e300)), "points_mm: found 1e+300, expected numbers from -1e+06"),
         (truth(points_mm=np.full((4, 3), 0.01)), "greatest depth is 20 mm"),  # in m
         (truth(height_mm=np.full(SIZE, 0.003)), "greatest depth is 0.003 mm, expected a depth from 0.02 to 16 mm"),
-        (truth(height_mm=np.full(SIZE, -np.inf)), "height_mm: found -inf"),
         (truth(height_mm=np.full(SIZE, 2**64 - 1, np.uint64)), "height_mm: found 1.84467e+19"),
-        (truth(contact=np.full(SIZE, np.nan)), "contact: found NaN"),
         (truth(height_mm=np.zeros((31, 40)), contact=np.zeros((30, 40)), step_px=4.0), "or other cells"),
         ({"x" * 400: 1}, "…'; expected points_mm"),
+        (truth(shear_mm=np.zeros((*SIZE, 3))), "shear_mm: found numbers of shape (120, 160, 3)"),
         (truth(points_mm=np.array(["a"])), "points_mm: found <U1 values of shape (1,), expected numbers"),
         (truth(height_mm=np.zeros((2, 120, 160))), "height_mm: found float64 values of shape (2, 120, 160)"),
         (truth(step_px=0.0), "step_px: found 0.0, expected a number above 0"),
@@ -263,7 +228,6 @@ def test_a_truth_on_a_grid_of_its_own(tmp_path: Path) -> None:
             "row0: found float64 values of shape (2,), expected numbers in 0 dimensions",
         ),
         (truth(depth_max_mm=np.nan), "depth_max_mm: found NaN"),
-        (truth(depth_max_mm=0.0), "a contact whose greatest depth is 0 mm"),
         (truth(height_mm=np.zeros(SIZE)), "a contact whose greatest depth is 0 mm"),
     ],
 )

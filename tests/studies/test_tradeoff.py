@@ -1,220 +1,197 @@
-"""The settings of a trade-off, their scores, memory, times and points."""
+"""Rows of outputs, their errors, times and memory; tables, plots, and the settings for what a user needs."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from support.half_family import HALF_SENSOR, half_family
+import yaml
+from support.calibrated_sensor import HALF, calibrated, pressed, reconstructor, simulated, step
+from support.trade_points import row
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import STAGES
-from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.work import read_images
+from tacshade_edge.cli import main
+from tacshade_edge.core.image.white import halved
+from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.parallel import ThisProcess
-from tacshade_edge.studies.tradeoff import measure
-from tacshade_edge.studies.tradeoff.measure import (
-    IDLE_FRAMES,
-    WORDS,
-    Point,
-    SensorCases,
-    Setting,
-    Times,
-    grid,
-    make,
-    peak_memory,
-    points,
-    score_settings,
-    time_settings,
-    weigh_and_time,
-)
+from tacshade_edge.studies.tradeoff import measure, report
+from tacshade_edge.studies.tradeoff.measure import OUTPUTS, Estimate, Row, Setting, Simulation, errors, settings
+from tacshade_edge.studies.tradeoff.report import Wish, choose
 from tacshade_edge.types import Frame
-from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration, painted_calibration
+from tools.testbed.painted_sensor import painted_calibration
+
+NAN = Estimate(math.nan, math.nan, math.nan)
 
 
-def test_the_whole_grid_has_every_profile_and_no_setting_twice() -> None:
-    settings = grid(list(PROFILES))
-    assert len(settings) <= 16
-    assert len(settings) == len(set(settings)) == len({str(setting) for setting in settings})
-    assert [setting.profile.name for setting in settings if setting.shipped] == list(PROFILES)
-    assert all(bool(setting.varied) != setting.shipped for setting in settings)
-    for dimension in WORDS:
-        assert len({setting.fields[dimension] for setting in settings}) > 1
+def quiet(what: str, done: int, total: int | None) -> None:
+    assert total is None or 0 <= done <= total
 
 
-def test_what_differs_is_what_runs() -> None:
-    frame, calibration = Frame(0, 0, 0, TOUCHED), painted_calibration()
-    paper = PROFILES["paper"]
-    settings = (
-        Setting(paper),
-        Setting(replace(paper, stride_px=4)),
-        Setting(paper, scaled_grey=True),
+def test_settings_are_profile_size_and_networks() -> None:
+    fitted = replace(painted_calibration(), fitted={"fast": object()})  # type: ignore[dict-item]
+    assert settings(("fast", "accurate"), fitted) == (
+        Setting("fast", half=False, fitted=True),
+        Setting("fast", half=False, fitted=False),
+        Setting("fast", half=True, fitted=True),
+        Setting("fast", half=True, fitted=False),
+        Setting("accurate", half=False, fitted=False),
+        Setting("accurate", half=True, fitted=False),
     )
-    fine, coarse, grey = (make(setting, calibration).step(frame) for setting in settings)
-    assert fine.height.height_mm.size > 10 * coarse.height.height_mm.size
-    assert grey.height.height_mm.tobytes() != fine.height.height_mm.tobytes()
+    assert Setting("paper", half=False, fitted=False).outputs(fitted) == ("contact", "height", "cloud")
+    assert "touch" not in Setting("fast", half=False, fitted=True).outputs(fitted)
 
 
-pytestmark = pytest.mark.slow  # it calibrates, renders and starts interpreters
+def known_ball() -> KnownTruth:
+    frame = pressed("ball", 3.0)
+    truth = frame.truth()
+    shear_mm = np.zeros((*truth.contact.shape, 2), np.float32)
+    return replace(KnownTruth.of(truth), height_mm=truth.height_mm, shear_mm=shear_mm)
 
 
-def quiet(what: str, done: int, total: int) -> None:
-    assert 0 <= done <= total
+def test_errors_are_in_the_units_of_the_outputs() -> None:
+    result = step("fast", pressed("ball", 3.0).image)
+    found = errors(result, known_ball())
+    assert set(found) == {*OUTPUTS} - {"touch"}
+    assert all(0 <= found[name] < 0.6 for name in ("contact", "height", "cloud"))
+    assert result.shear_mm is not None
+    touched = known_ball().contact_on(result.height)
+    assert found["shear"] == pytest.approx(np.linalg.norm(result.shear_mm[touched], axis=-1).mean(), rel=1e-5)
+    assert 0 <= found["sigma"] <= 90
 
 
-@pytest.fixture(scope="module")
-def sensor() -> Iterator[SensorCases]:
-    with half_family():
-        (found,) = measure.simulated((HALF_SENSOR,), ("ball", "cube"), ThisProcess(), quiet)
-        yield found
+def test_a_missed_contact_counts_as_undeformed_skin() -> None:
+    truth = known_ball()
+    assert truth.height_mm is not None
+    assert truth.contact is not None
+    found = errors(reconstructor("fast").step(Frame(0, 0, 0, np.zeros_like(pressed("ball", 3.0).image))), truth)
+    assert found["contact"] == found["cloud"] == truth.depth_max_mm
+    assert found["height"] == pytest.approx(truth.height_mm[truth.contact].mean(), rel=0.05)
+    assert found["shear"] == 0
 
 
-def test_all_of_it(sensor: SensorCases, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_the_size_has_the_same_truth() -> None:
+    setting = Setting("fast", half=True, fitted=False)
+    image, truth = pressed("ball", 3.0).image, known_ball()
+    result = setting.make(calibrated()).step(Frame(0, 0, 0, setting.image(image)))
+    assert result.contact
+    np.testing.assert_array_equal(setting.image(image), halved(image))
+    assert errors(result, truth.halved())["height"] < 0.3
+    assert errors(result, truth)["height"] > 0.5
+
+
+@pytest.mark.slow  # it renders and starts interpreters
+def test_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure, "SLICE_MS", 5.0)
-    settings = grid(("fast",))[:2]
-    rows = score_settings(settings, (sensor,), ThisProcess(), quiet)
-    points, busy = weigh_and_time(settings, (sensor,), rows, quiet)
-    assert [p.setting for p in points] == list(settings)
-    assert busy > 0.9
-    for point in points:
-        assert (point.presses, point.untouched, point.phantoms) == (6, measure.NULL_FRAMES, 0)
-        assert 0.02 < point.me_mm.low <= point.me_mm.value <= point.me_mm.high < 1
-        assert point.iou.value > 0.5
-        assert 0 < point.idle_p50_ms < point.p50_ms.value <= point.p99_ms.value
-        assert point.peak_mib > 0
-    assert any(p.front for p in points)
-
-
-def test_the_same_images_give_the_same_rows_and_those_of_a_user_too(sensor: SensorCases, tmp_path: Path) -> None:
-    """Written to files as a user has them, read again."""
-    settings = grid(("fast",))[:1]
-    ((first,),), ((again,),) = (score_settings(settings, (sensor,), ThisProcess(), quiet) for _ in range(2))
-    assert first == again
-    for k, case in enumerate(sensor.cases[:3]):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), case.image)
-        truth = case.truth
-        np.savez(
-            tmp_path / f"{k}.npz", points_mm=truth.points_mm, contact=truth.contact, depth_max_mm=truth.depth_max_mm
-        )
-    images = sorted(tmp_path.glob("*.png"))
-    own = tuple(read_images(sensor.calibration, "mine", images, quiet, lambda text: pytest.fail(text)))
-    ((read,),) = score_settings(settings, (SensorCases(sensor.calibration, own),), ThisProcess(), quiet)
-    assert [(r.me_mm, r.iou) for r in read] == [(r.me_mm, r.iou) for r in first[:3]]
-
-
-def test_what_needs_more_weighs_more_and_what_was_there_nothing() -> None:
-    paper = PROFILES["paper"]
-    settings = [Setting(paper), Setting(replace(paper, stride_px=8))]
-    fine, coarse = peak_memory(settings, enlarged_calibration(), [enlarged(TOUCHED)], lambda *_: None)
-    assert fine > coarse + 10  # a dozen complex maps of 440 x 440
-    assert 0 < coarse < 300
-
-
-def test_every_setting_is_timed_in_every_round() -> None:
-    settings = [Setting(PROFILES["fast"]), Setting(replace(PROFILES["fast"], stride_px=8))]
+    monkeypatch.setattr(measure, "ROUNDS", 3)
+    one = Simulation("half", None, lambda: simulated(HALF), calibrated())
+    some = settings(("fast",), one.calibration)
+    judged = measure.simulated(some, [one], ["ball"], ThisProcess(), quiet)
+    assert [each.touched for each in judged] == [True] * 3 + [False] * measure.NULL_FRAMES
     threads = cv2.getNumThreads()
-    times, busy = time_settings(
-        settings, painted_calibration(), [[TOUCHED, TOUCHED], [TOUCHED]], [FREE], quiet, rounds=3
-    )
-    assert busy > 0.9
+    rows, busy = measure.measure(some, [("height",), ("height", "shear", "sigma")], one.calibration, judged, quiet)
     assert cv2.getNumThreads() == threads
-    for each, most in zip(times, (2, 1), strict=True):
-        assert len(each.contact) == len(each.idle) == 3
-        for some in each.contact:
-            assert some.shape[1] == 1 + len(STAGES)
-            assert 1 <= len(some) <= most
-            assert (some[:, 0] > 0).all()
-            stages = dict(zip(STAGES, some[:, 1:].T, strict=True))
-            for unasked in ("shear", "sigma"):
-                assert (stages.pop(unasked) > 0).all()  # not in the step's time: few ask for it
-            np.testing.assert_allclose(some[:, 0], np.nansum(list(stages.values()), axis=0))
-        assert all(len(some) == IDLE_FRAMES and (some > 0).all() for some in each.idle)
+    assert busy > 0.9
+    assert [(each.outputs, each.image) for each in rows[::2]] == [
+        (("height",), "320x240"),
+        (("height", "shear", "sigma"), "320x240"),
+    ]
+    for each in rows:
+        error, times = each.errors["height"], each.times
+        assert 0 < error.low <= error.value <= error.high < 0.6
+        assert 0 < times.idle_ms < times.p50_ms <= times.p99_ms
+        assert 0 < each.peak_mib < 300
+        assert (each.scenes, each.missed, each.untouched, each.phantoms) == (3, 0, measure.NULL_FRAMES, 0)
+    assert rows[2].times.p50_ms > rows[0].times.p50_ms
+    assert rows[2].errors["height"] == rows[0].errors["height"]
 
 
-def test_a_setting_that_finds_no_contact_and_no_frames_without_are_nothing() -> None:
-    (times,), _ = time_settings([Setting(PROFILES["fast"])], painted_calibration(), [[]], [], quiet, rounds=2)
-    assert [some.shape for some in times.contact] == [(0, 1 + len(STAGES))] * 2
-    assert [len(some) for some in times.idle] == [0, 0]
+def test_the_rate_keeps_a_fifth_of_the_processor_free() -> None:
+    one = row("fast", 0.2, 4.0)
+    assert [one.fps(*each) for each in ((1, 1), (1, 4), (4, 4), (4, 1))] == [200, 200, 200, 50]
 
 
-NAN = math.nan
-ROUNDS, FRAMES, PRESSES = 12, 10, 30
-BASE = PROFILES["fast"]
+ALL = ("height", "shear")
+ROWS = [
+    row("fast", 0.3, 1.0, outputs=ALL),
+    row("fast", 0.35, 0.5, outputs=ALL, half=True),
+    row("accurate", 0.1, 3.0, outputs=ALL),
+    row("accurate", 0.15, 2.0, outputs=ALL, half=True),
+]
 
 
-def row(me_mm: float, *, touched: bool = True, contact: bool = True) -> Row:
-    return Row(
-        profile="fast", sensor="s", object="ball" if touched else "none", image="", depth_mm=3, x_mm=0, y_mm=0,
-        rotation_deg=0, valid=True, contact=contact, saturated=False, true_depth_mm=3.0 if touched else 0.0,
-        found_depth_mm=2.7, depth_error_pct=-10.0 if touched else NAN, me_mm=me_mm, sd_pct=90.0, sd_sum_pct=80.0,
-        backward_mm=0.3, iou=0.8 if touched else NAN, points=5, true_points=9 if touched else 0, objects=1,
-        repaired_px=0, degraded="",
-    )  # fmt: skip
+def block(rows: Sequence[Row], wish: Wish) -> str:
+    holds, text = choose(rows, wish)
+    assert holds
+    return text
 
 
-def times(median_ms: float, seed: int, noise: float = 0.1) -> Times:
-    """Rounds that are busy together, and noise of their own."""
-    common = np.random.default_rng(99).uniform(1, 1.5, ROUNDS)
-    rng = np.random.default_rng(seed)
-    rounds = []
-    for k in range(ROUNDS):
-        total = median_ms * common[k] * (1 + noise * rng.uniform(-1, 1, FRAMES))
-        stages = np.full((FRAMES, len(STAGES)), NAN)
-        stages[:, 0] = total
-        rounds.append(np.column_stack((total, stages)))
-    return Times(tuple(rounds), tuple(np.full(5, 0.3) for _ in range(ROUNDS)))
+@pytest.mark.parametrize(
+    ("wish", "expected"),
+    [
+        (Wish(None, None, 1, 4), {"profile": "accurate"}),
+        (Wish(6.0, None, 4, 1), {"profile": "accurate"}),
+        (Wish(2.0, None, 1, 1), {"profile": "fast"}),
+        (Wish(None, 60, 1, 1), {"profile": "accurate", "source": {"kind": "v4l2", "fps": 60}}),
+        (Wish(5.9, None, 1, 4), {"profile": "accurate", "source": {"kind": "v4l2", "width_px": 320, "height_px": 240}}),
+        (Wish(None, 90, 4, 2), {"profile": "accurate"}),
+        (Wish(None, 250, 4, 4), {"profile": "accurate"}),
+        (Wish(None, 500, 4, 4), {"profile": "fast"}),
+    ],
+)
+def test_the_most_accurate_that_holds_as_yaml(
+    wish: Wish, expected: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = block(ROWS, wish)
+    assert yaml.safe_load(text) == expected
+    (tmp_path / "config.yaml").write_text(f"calibration: cal.npz\n{text}\n")
+    assert main(["check-config", str(tmp_path / "config.yaml")]) in (0, 1)  # there is no calibration
+    assert "config.yaml" in capsys.readouterr().out
 
 
-def summarised(errors: Sequence[Sequence[float]], medians: Sequence[float], noise: float = 0.1) -> tuple[Point, ...]:
-    settings = [Setting(replace(BASE, stride_px=k + 1)) for k in range(len(errors))]
-    rows = [[*(row(me) for me in some), row(NAN, touched=False, contact=False)] for some in errors]
-    taken = [times(ms, k, noise) for k, ms in enumerate(medians)]
-    return points(settings, rows, taken, [1.0] * len(errors))
+def test_what_is_given_up_and_what_holds_nothing() -> None:
+    given_up = "# given up: accurate at 640x480: off by 0.100 mm, 0.100 mm; p99 6.00 ms"
+    assert given_up in block(ROWS, Wish(2.0, None, 1, 4))
+    assert "given up: nothing" in block(ROWS, Wish(None, None, 1, 4))
+    assert "# source of each sensor: width_px: 320, height_px: 240, fps: 300" in block(ROWS, Wish(None, 300, 4, 4))
+    holds, text = choose(ROWS, Wish(0.5, 60, 4, 2))
+    assert not holds
+    assert text.startswith("nothing holds height, shear for 4 fingers on 2 cores, 60 frames/s, 0.5 ms (p99)")
+    assert "the fastest is fast at 320x240" in text
+    assert not choose([row("fast", math.nan, math.nan)], Wish(None, None, 1, 1))[0]
 
 
-def errors(mean: float, seed: int) -> list[float]:
-    return list(np.random.default_rng(seed).normal(mean, 0.05, PRESSES))
+def test_fitted_networks_run_where_there_are_some() -> None:
+    better = row("fast", 0.05, 1.0, outputs=ALL)
+    assert yaml.safe_load(block([*ROWS, better], Wish(None, None, 1, 4))) == {"profile": "fast"}
+    fitted = row("fast", 0.2, 1.0, outputs=ALL, fitted=True)
+    assert yaml.safe_load(block([*ROWS, better, fitted], Wish(None, None, 1, 4))) == {"profile": "accurate"}
 
 
-def test_figures_and_their_intervals() -> None:
-    (point,) = summarised([errors(0.5, 1)], [2.0])
-    assert point.me_mm.value == pytest.approx(np.mean(errors(0.5, 1)))
-    # The standard error of 30 with a deviation of 0.05 is 0.009.
-    assert point.me_mm.low < point.me_mm.value < point.me_mm.high
-    assert 0.02 < point.me_mm.high - point.me_mm.low < 0.06
-    assert 2.0 < point.p50_ms.low <= point.p50_ms.value <= point.p50_ms.high < 3.0
-    assert point.p99_ms.value > point.p50_ms.value
-    assert 1000 / 3.3 < point.fps < 1000 / 2.0
-    assert (point.presses, point.missed, point.untouched, point.phantoms) == (PRESSES, 0, 1, 0)
-    assert (point.timed, point.idle_p50_ms, point.depth_off_pct.value) == (ROUNDS * FRAMES, 0.3, 10.0)
-    assert [name for name, _, _ in point.stages_ms] == [STAGES[0]]
+def test_an_unknown_error_is_left_out() -> None:
+    unknown = [replace(each, errors={"touch": NAN}) for each in ROWS]
+    assert yaml.safe_load(block(unknown, Wish(None, None, 1, 4)))["profile"] == "fast"  # the fastest
+    lines = list(csv.DictReader(io.StringIO(report.csv_text([*ROWS, unknown[0]]))))
+    assert [(line["profile"], line["image"], line["height_error"], line["p99_ms"]) for line in lines[1:]] == [
+        ("fast", "320x240", "0.35", "1"),
+        ("accurate", "640x480", "0.1", "6"),
+        ("accurate", "320x240", "0.15", "4"),
+        ("fast", "640x480", "", "2"),
+    ]
+    assert report.table(unknown).count("\n") == 5
+    assert report.document(unknown, 1.0)["rows"][0]["touch_error"] is None
 
 
-def test_rounds_that_were_busy_together_do_not_hide_a_difference() -> None:
-    """Each interval is as wide as the rounds differ, a half; the settings differ by 3 % in each of them."""
-    same = errors(0.5, 1)
-    found = summarised([same, same], [2.0, 2.06], noise=0.005)
-    assert found[0].p50_ms.high > found[1].p50_ms.low
-    assert [p.front for p in found] == [True, False]
-
-
-def test_the_front_is_what_no_other_beats_in_both() -> None:
-    means, medians = (0.5, 0.3, 0.55, 0.2), (1.0, 2.0, 1.5, 4.0)
-    found = summarised([errors(mean, k) for k, mean in enumerate(means)], medians)
-    assert [p.front for p in found] == [True, True, False, True]
-
-
-def test_a_setting_that_finds_nothing_is_on_no_front() -> None:
-    nothing = Times(tuple(np.empty((0, 1 + len(STAGES))) for _ in range(ROUNDS)), (np.empty(0),) * ROUNDS)
-    settings = [Setting(BASE), Setting(replace(BASE, stride_px=8))]
-    rows = [[row(0.2)] * 4, [row(NAN, contact=False)] * 4]
-    found = points(settings, rows, [times(1.0, 0), nothing], [1.0, 1.0])
-    assert [p.front for p in found] == [True, False]
-    assert (found[1].missed, found[1].timed) == (4, 0)
-    assert math.isnan(found[1].p99_ms.value)
-    assert math.isnan(found[1].fps)
+@pytest.mark.slow  # it imports matplotlib
+@pytest.mark.parametrize("outputs", [("height",), ("height", "cloud"), ("touch",)])
+def test_rows_are_drawn(outputs: tuple[str, ...]) -> None:
+    rows = [row("fast", 0.2, 1.0, outputs=outputs, front=True), row("accurate", 0.1, 3.0, outputs=outputs, half=True)]
+    if outputs == ("touch",):
+        rows = [replace(each, errors={"touch": NAN}) for each in rows]
+    image = cv2.imdecode(np.frombuffer(report.draw(rows, 3.0), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None

@@ -101,19 +101,12 @@ def run(
     work: Callable[[Workers, Report], Sequence[Row]],
     text: Callable[[Sequence[Row]], str],
     kinds: Mapping[str, type[Any]],
-    draw: Callable[[Sequence[Row]], Mapping[str, bytes]] | None = None,
 ) -> None:
-    """Work; print the table, write it, its rows and its plots.
-
-    `kinds` are the kinds of rows by the end of their CSV file's name; `draw` returns plots by the end of theirs.
-    """
+    """Work; print the table, and write it and its rows; `kinds` are those of rows by the end of their file's name."""
     with folder_for(parser, args.out), workers() as pool:
         rows = work(pool, Progress())
         files = {end: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for end, kind in kinds.items()}
         study.publish(args, stem, text(rows), files)
-        if draw is not None and study.will_draw(args, "the plots"):
-            for end, content in draw(rows).items():
-                study.write(args.out / f"{stem}{end}.png", content)
 
 
 PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03

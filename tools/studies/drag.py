@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame, Truth
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
-from tacshade_edge.studies.tables import grouped, new_figure, png, summary
+from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import F64, Bool, Calibration, Frame, Reconstruction
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS
@@ -208,24 +208,6 @@ def text(found: Sequence[DragRow]) -> str:
     return "\n\n".join(tables)
 
 
-def draw(found: Sequence[DragRow]) -> Mapping[str, bytes]:
-    """Error over drag, a panel for each family and a line for each profile."""
-    families = grouped(found, lambda row: family_of(row.sensor))
-    figure, panels = new_figure(2, len(families), 5.5 * len(families), 7)
-    for column, (family, mine) in zip(panels.T, families.items(), strict=True):
-        for colour, (profile, of) in zip(command.COLOURS, grouped(mine, "profile").items(), strict=False):
-            by = grouped(of, "condition")
-            for axes, values in zip(
-                column, (map(me_mm, by.values()), (shear_off_mm(s, 0.5) for s in by.values())), strict=True
-            ):
-                axes.plot(list(by), list(values), "o-", color=colour, label=profile)
-        for axes, title in zip(column, (f"{family}: ME in mm", "median error of the shear in mm"), strict=True):
-            axes.set(title=title, ylim=(0, None))
-            axes.tick_params(axis="x", labelsize=7)
-        column[0].legend(frameon=False)
-    return {"": png(figure)}
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Objects that are dragged, twisted and tilted.", SENSORS, FINAL)
@@ -234,7 +216,7 @@ def main(words: Sequence[str] | None = None) -> None:
     command.check_presses(parser, args.presses)
     work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects)
     work = partial(work, references=args.references, presses=args.presses)
-    command.run(parser, args, "drag", work, text, {"": DragRow}, draw)
+    command.run(parser, args, "drag", work, text, {"": DragRow})
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from tacshade_edge.studies.evaluate.work import (
     reconstructor,
 )
 from tacshade_edge.studies.parallel import Report, Workers, reported_map
-from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, summary
+from tacshade_edge.studies.tables import grouped, markdown, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command
 from tools.testbed.simulator.families import released
@@ -586,97 +586,11 @@ def _disturbed_table(profiles: Mapping[str, Sequence[DisturbedRow]]) -> str:
     return summary(("what", "method"), groups, DISTURBED)
 
 
-_STYLES, _MARKERS = ("-", "--", ":"), ("o", "s", "^")
-
-
-def draw(rows: Sequence[Found]) -> dict[str, bytes]:
-    """The plots by the end of their file name."""
-    return {
-        "_detection": _draw_detection(by_profile(rows, FaintRow)),
-        "_depth": _draw_depth(by_profile(rows, DeepRow)),
-        "_resolution": _draw_resolution(by_profile(rows, FineRow)),
-        "_disturbed": _draw_disturbed(by_profile(rows, DisturbedRow)),
-    }
-
-
-def _draw_detection(profiles: Mapping[str, Sequence[FaintRow]]) -> bytes:
-    figure, (panels,) = new_figure(1, len(profiles), 5.4 * len(profiles), 4.0)
-    for axes, (profile, rows) in zip(panels, profiles.items(), strict=True):
-        for k, (radius, some) in enumerate(sorted(grouped(rows, "radius_mm").items())):
-            known = detected(some)
-            style = {"color": command.COLOURS[k], "marker": _MARKERS[k], "label": f"ball of {radius:g} mm radius"}
-            axes.plot(list(known), [100 * part for part in known.values()], **style)
-        axes.axhline(100 * DETECTED, color="#888888", linewidth=1, linestyle=":")
-        axes.set(title=profile, xlabel="depth (greatest h) in mm", ylabel="presses found in %", xlim=(0, 1.0))
-        axes.set_ylim(-3, 103)
-        axes.text(0.01, 100 * DETECTED - 1, f"{100 * DETECTED:g} %", va="top", fontsize=8, color="#666666")
-    panels[0].legend(loc="lower right", frameon=False)
-    return png(figure)
-
-
-def _draw_depth(profiles: Mapping[str, Sequence[DeepRow]]) -> bytes:
-    figure, ((error, told),) = new_figure(1, 2, 10.8, 4.0)
-    for colour, (profile, rows) in zip(command.COLOURS, profiles.items(), strict=False):
-        for j, (name, some) in enumerate(grouped(rows, "object").items()):
-            known, label = depth_errors(some), f"{profile}, {name}"
-            mean, high, saturated = np.array(list(known.values())).T
-            style = {"color": colour, "linestyle": _STYLES[j], "label": label}
-            error.plot(list(known), mean, **style)
-            told.plot(list(known), 100 * saturated, **style)
-            if j == 0:
-                shade = {"color": colour, "alpha": 0.15, "linewidth": 0, "label": f"{label}: to 90 %"}
-                error.fill_between(list(known), mean, high, **shade)
-    error.set(xlabel="depth (greatest h) in mm", ylabel="error of the depth in mm, mean")
-    told.set(xlabel="depth (greatest h) in mm", ylabel='frames told "saturated" in %', ylim=(-3, 103))
-    error.set_ylim(bottom=0)
-    error.legend(frameon=False)
-    return png(figure)
-
-
-def _draw_resolution(profiles: Mapping[str, Sequence[FineRow]]) -> bytes:
-    figure, (panels,) = new_figure(1, len(FINE), 4.2 * len(FINE), 4.0)
-    pitches = sorted({row.pitch_mm for rows in profiles.values() for row in rows})
-    for axes, (question, (shape, _)) in zip(panels, FINE.items(), strict=True):
-        most = max(row.size_mm for rows in profiles.values() for row in rows if row.shape == shape)
-        for k, (profile, rows) in enumerate(profiles.items()):
-            sizes = [min(finest(rows, pitch, question), 1.08 * most) for pitch in pitches]
-            style = {"color": command.COLOURS[k], "marker": _MARKERS[k], "linestyle": _STYLES[k]}
-            axes.plot(pitches, sizes, label=profile, **style)
-        axes.plot(pitches, pitches, color="#888888", linewidth=1, linestyle=":", label="one pitch")
-        axes.axhspan(most * 1.04, most * 1.22, color="#f0f0f0", linewidth=0)
-        axes.text(pitches[0], most * 1.2, "none of those tried", va="top", fontsize=8, color="#666666")
-        axes.set(title=question, xlabel="marker pitch in mm", ylim=(0, most * 1.22))
-        axes.set_ylabel(f"smallest {'gap' if shape == 'bars' else 'width'} in mm")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-    return png(figure)
-
-
-def _draw_disturbed(profiles: Mapping[str, Sequence[DisturbedRow]]) -> bytes:
-    figure, ((axes,),) = new_figure(1, 1, 7.2, 4.2)
-    kinds = list(dict.fromkeys(row.disturbance for rows in profiles.values() for row in rows))
-    for k, (profile, rows) in enumerate(profiles.items()):
-        for j, some in enumerate(grouped(rows, "disturbance").values()):
-            at = j + 0.36 * ((k + 0.5) / len(profiles) - 0.5) * 2
-            for y, row in zip(at + np.linspace(-0.1, 0.1, len(some)), some, strict=True):
-                wrong = row.silently_wrong
-                style = {"color": command.COLOURS[k], "markersize": 6, "alpha": 1 if wrong else 0.6}
-                axes.plot(100 * min(row.off, 1.0), y, "x" if wrong else ".", **style)
-        axes.plot([], [], "o", color=command.COLOURS[k], label=profile)
-    if any(row.silently_wrong for rows in profiles.values() for row in rows):
-        axes.plot([], [], "x", color="#444444", label="wrong without a word")
-    axes.axvline(100 * WRONG, color="#888888", linewidth=1, linestyle=":")
-    axes.set_yticks(range(len(kinds)), kinds)
-    axes.invert_yaxis()
-    axes.set(xlabel="change of a 2 mm contact's depth in % of the undisturbed frame's", xlim=(-1, None))
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    return png(figure)
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Where the method ends.", "default,5,11")
     args = parser.parse_args(words)
-    command.run(parser, args, "limits", partial(limits, Plan(args.sensors, tuple(args.profile))), text, KINDS, draw)
+    command.run(parser, args, "limits", partial(limits, Plan(args.sensors, tuple(args.profile))), text, KINDS)
 
 
 if __name__ == "__main__":

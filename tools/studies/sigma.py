@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,7 +20,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_points
 from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
-from tacshade_edge.studies.tables import grouped, new_figure, png, summary
+from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import F32, F64, Bool, Calibration, Frame
 from tools.studies import command, drag
 
@@ -141,31 +141,6 @@ def text(found: Sequence[Cells]) -> str:
     return "\n\n".join(tables)
 
 
-def draw(found: Sequence[Cells]) -> Mapping[str, bytes]:
-    """How many intervals hold over depth, and the error over σ: a column for each family, a line for each profile."""
-    families = grouped(found, lambda row: family_of(row.sensor))
-    figure, panels = new_figure(2, len(families), 5.5 * len(families), 7)
-    for (held, reported), (family, mine) in zip(panels.T, families.items(), strict=True):
-        held.axhspan(*COVERED, color="#eeeeee")
-        for colour, (profile, of) in zip(command.COLOURS, grouped(mine, "profile").items(), strict=False):
-            for dragged, some in sorted(grouped(of, lambda row: row.drag_mm > 0).items()):
-                depths = dict(sorted(grouped(some, "depth_mm").items()))
-                label = f"{profile}, dragged" if dragged else profile
-                style = "s--" if dragged else "o-"
-                held.plot(
-                    list(depths), [covered_pct(each) for each in depths.values()], style, color=colour, label=label
-                )
-            error_mm, sigma_mm = joined(of)
-            tenths = np.array_split(np.argsort(sigma_mm), 10)
-            means = ([values[tenth].mean() for tenth in tenths] for values in (sigma_mm, error_mm))
-            reported.plot(*means, "o-", color=colour)
-        held.set(title=f"{family}: cells in their 90 % interval, %", xlabel="depth, mm", ylim=(40, 100))
-        reported.set(title="mean error of each tenth of the cells, mm", xlabel="its mean σ, mm")
-        reported.set(xlim=(0, None), ylim=(0, None))
-        held.legend(frameon=False, fontsize=7)
-    return {"": png(figure)}
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Whether the standard deviation of each height holds.", drag.SENSORS)
@@ -176,7 +151,7 @@ def main(words: Sequence[str] | None = None) -> None:
         parser.error("--profile: found paper, which gives no errors")
     work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects)
     work = partial(work, references=args.references, presses=args.presses)
-    command.run(parser, args, "sigma", work, text, {"": SigmaRow}, draw)
+    command.run(parser, args, "sigma", work, text, {"": SigmaRow})
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -11,34 +10,29 @@ from typing import Any
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.options import COUNT, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.quoting import encodable
-from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
-from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
+from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.studies.evaluate import labelled as labels
-from tacshade_edge.studies.evaluate import picture, report
-from tacshade_edge.studies.evaluate.report import figures
+from tacshade_edge.studies.evaluate import report
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
     Plan,
-    Timing,
     evaluate,
     evaluate_images,
     reconstructor,
-    time_profiles,
 )
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import Frame
 
 WORKING_SENSORS = "default,5,11,21"
 SIMULATED = ("sensors", "objects", "presses", "references")
@@ -46,15 +40,11 @@ SIMULATED = ("sensors", "objects", "presses", "references")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    files = "evaluation.md, evaluation.csv, evaluation.json and figure6.png"
+    files = "evaluation.md, evaluation.csv and evaluation.json"
     study.add_arguments(parser, "default: all but paper, which is slow", files)
     own = parser.add_argument_group("your own frames with labels instead of surfaces")
     text = f"table of image and any of {', '.join(labels.COLUMNS)}"
     add_option(own, "--labels", "CSV", text)
-    text = "the sensor's dimensions, instead of --calibration"
-    add_option(own, "--sensor", "SENSOR.yaml", text)
-    text = "with --sensor: the untouched skin (default: the least loaded frame)"
-    add_option(own, "--reference", "IMG", text, nargs="+")
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     text = "ball presses in each calibration (default: 40)"
     add_option(simulated, "--presses", "N", text, COUNT)
@@ -63,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.labels is not None or args.sensor is not None or args.reference is not None:
+    if args.labels is not None:
         return _labelled(args)
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
@@ -86,11 +76,8 @@ def _simulated(args: argparse.Namespace) -> int:
         presses=presses,
     )
     study.make_folder(args.out)
-    drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
     with workers() as pool:
         found = evaluate(plan, pool, Progress())
-    calibration = found.calibrations[0].calibration
-    timings = time_profiles(plan, calibration, Progress())
     sensors = [
         {
             "name": str(name),
@@ -100,50 +87,37 @@ def _simulated(args: argparse.Namespace) -> int:
         }
         for name, made in zip(plan.sensors, found.calibrations, strict=True)
     ]
-    _publish(args, found.rows, timings, {**asdict(plan), "sensors": sensors})
-    if drawn:
-        profiles = dict.fromkeys(row.profile for row in found.rows)
-        best = min(profiles, key=lambda p: figures(row for row in found.rows if row.profile == p).me_mm)
-        names = [name for name in plan.objects if name in PAPER_OBJECTS] or plan.objects
-        shown = picture.columns(plan.sensors[0], calibration, best, names)
-        study.write(args.out / "figure6.png", picture.draw(shown, calibration, best))
+    _publish(args, found.rows, {**asdict(plan), "sensors": sensors})
     return 0
 
 
 def _own(args: argparse.Namespace) -> int:
     calibration, cases, mistakes = study.own_images(args)
-    rows, timings = evaluate_images(calibration, _profiles(args), cases)
+    rows = evaluate_images(calibration, _profiles(args), cases)
     if not rows:
         raise ConfigError(f"{args.images}: found no image to score, expected at least one image with a truth file")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
-    _publish(args, rows, timings, settings)
+    _publish(args, rows, settings)
     refused = {row.image: row.degraded for row in rows if not row.valid}
     for image, why in refused.items():
         warn(f"{image}: invalid: {why}")
     return 1 if mistakes or refused else 0
 
 
-def _publish(
-    args: argparse.Namespace, rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]
-) -> None:
-    document = report.document(rows, timings, settings)
-    study.publish(args, "evaluation", report.table(rows, timings), {"": csv_text(Row, rows)}, document)
+def _publish(args: argparse.Namespace, rows: Sequence[Row], settings: Mapping[str, Any]) -> None:
+    document = report.document(rows, settings)
+    study.publish(args, "evaluation", report.table(rows), {"": csv_text(Row, rows)}, document)
 
 
 def _labelled(args: argparse.Namespace) -> int:
-    """Reconstruct each frame on its own, print how well the results follow the labels, and write rows and plots."""
+    """Reconstruct each frame on its own, print how well the results follow the labels, and write rows."""
     if given := [name for name in SIMULATED if getattr(args, name) is not None]:
         args.parser.error(f"--{given[0]} cannot be used with --labels")
-    if args.images is None or args.labels is None:
-        args.parser.error("--images DIR and --labels CSV must be given together")
-    if (args.calibration is None) == (args.sensor is None):
-        args.parser.error("--labels needs one of --calibration CAL.npz and --sensor SENSOR.yaml")
-    if args.reference is not None and args.sensor is None:
-        args.parser.error("--reference requires --sensor")
+    if args.images is None or args.calibration is None:
+        args.parser.error("--labels requires --images DIR and --calibration CAL.npz")
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
-    calibration = _calibration(args, table)
+    calibration = calibrations.load(args.calibration, store=False)
     study.make_folder(args.out)
-    drawn = study.will_draw(args, "labels.png")
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}
     known, mistakes, progress = [], 0, Progress()
@@ -165,32 +139,7 @@ def _labelled(args: argparse.Namespace) -> int:
     every = [row for some in rows.values() for row in some]
     texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
     study.publish(args, "labels", *texts, labels.document(every, made_of))
-    if drawn:
-        study.write(args.out / "labels.png", labels.draw(rows, known))
     if not any(row.contact or not row.refused for row in every):
         warn(f"{args.images}: every frame is invalid, the first: {every[0].refused}; are they this calibration's?")
         return 1
     return 1 if mistakes else 0
-
-
-def _calibration(args: argparse.Namespace, table: Sequence[LabelledImage]) -> Calibration:
-    """The user's calibration, or one made from SENSOR.yaml and the references, by default the least loaded frame."""
-    if args.calibration is not None:
-        return calibrations.load(args.calibration, store=False)
-    paths = args.reference or [min(table, key=_load).path]
-    if not args.reference:
-        warn(f"using {paths[0]}, the least loaded frame, as the reference")
-    try:
-        references = [read_image(path) for path in paths]
-    except DecodeError as error:
-        raise ConfigError(str(error)) from None
-    result = calibrate(read_sensor(args.sensor), references, allow_loaded_reference=True)
-    for warning in result.warnings:
-        warn(warning)
-    return result.calibration
-
-
-def _load(each: LabelledImage) -> tuple[float, float]:
-    """Sort key for the load: depth, then shear; an unknown depth comes last and an unknown shear counts as 0."""
-    shear = math.hypot(each.known.get("shear_x_mm", 0.0), each.known.get("shear_y_mm", 0.0))
-    return each.known.get("depth_mm", math.inf), shear

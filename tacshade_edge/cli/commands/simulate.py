@@ -242,13 +242,8 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
         _write_csv(folder / table, frame_table.POSES_HEADER, rows)
-    bars = [(b.x0_mm, b.y0_mm, b.x1_mm, b.y1_mm, b.width_mm) for b in pad.bulges if isinstance(b, pads.Bar)]
-    arcs = [b for b in pad.bulges if isinstance(b, pads.Arc) and b.to_deg - b.from_deg >= 360]
-    circles = [(a.x_mm, a.y_mm, a.radius_mm, a.width_mm) for a in arcs]
     raster = {"z_mm": pads.raster(pad, _TRUTH_STEP_MM), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": _TRUTH_STEP_MM}
-    _write_npz(
-        folder / "PAD.npz", {**raster, "bars_mm": np.reshape(bars, (-1, 5)), "circles_mm": np.reshape(circles, (-1, 4))}
-    )
+    _write_npz(folder / "PAD.npz", raster)
     print(f"{folder}: {len(poses)} presses, POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml")
     at = shlex.quote(str(folder))
     print(f"next:\n{_calibrate(at, '')}")

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         about["paper"] = score(average, known).as_json()
         if finished.refined:
             about["unrefined"] = score(stitcher.finish(None).raster, known).as_json()
-        more["comparison.png"] = comparison_png(known.raster, finished.raster, average)
+        more["comparison.png"] = comparison_png(known, finished.raster, average)
     write_map(args.out, finished.raster, about, more)
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
@@ -121,16 +121,8 @@ def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
 
 
 def _line(s: dict[str, Any]) -> str:
-    def worst(records: list[dict[str, Any]], key: str) -> str:
-        values = [abs(r[key]) for r in records if r[key] is not None]
-        return f"{max(values):.2f}" if values else "-"
-
     covered = "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"  # a flat surface
-    return (
-        f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {covered} covered, "
-        f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
-        f"circle within {worst(s['circles'], 'radius_percent')} %"
-    )
+    return f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {covered} covered"
 
 
 def report_flange(

@@ -1,108 +1,186 @@
-"""``tacshade-edge tradeoff``: measures speed against accuracy of the profiles and their variants on this machine."""
+"""``tacshade-edge tradeoff``: what outputs cost and how wrong they are on this machine, and the settings for a need."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 from tacshade_edge.cli.shared import study
-from tacshade_edge.cli.shared.options import POSITIVE, add_option, warn
+from tacshade_edge.cli.shared.options import POSITIVE, add_option, need, number, warn
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.calibration.reference.references import with_reference
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.preprocess import halved_calibration
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.studies.parallel import workers
+from tacshade_edge.factories import calibrations
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
+from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
+from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCE_NOISE, REFERENCES, calibrate_sensors
+from tacshade_edge.studies.parallel import usable_cores, workers
 from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.measure import (
-    Point,
-    SensorCases,
+    OUTPUTS,
+    Judged,
     Setting,
-    grid,
-    score_settings,
+    Simulation,
+    judge,
+    measure,
+    settings,
     simulated,
-    weigh_and_time,
 )
+from tacshade_edge.types import F32, Calibration
+
+if TYPE_CHECKING:
+    from tacshade_edge.fitting.identify import Kind, Layout
 
 SENSORS = "default,5"
 BUSY = 1.1
 """Ratio of wall time to processor time above which other programs kept the machine busy."""
+WIDEST_PX = 400
+"""Greatest width of the image in which a print is sought."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    files = "tradeoff.md, tradeoff.csv, tradeoff.json and tradeoff.png"
-    study.add_arguments(parser, "default: every profile and variants of each", files)
-    text = "print the settings of the most accurate profile that needs at most MS ms for 99 of 100 frames in contact"
-    add_option(parser, "--budget-ms", "MS", text, POSITIVE)
-    text = "time only the shipped profiles and print a report to send in; it omits this board's host name"
+    study.add_arguments(parser, "default: all but paper", "tradeoff.md, tradeoff.csv and tradeoff.json")
+    wish = parser.add_argument_group("what you need; prints the settings of the most accurate that holds it")
+    add_option(wish, "--budget-ms", "MS", "time for 99 of 100 frames in contact", POSITIVE)
+    add_option(wish, "--fps", "N", "frames per second of each finger", POSITIVE)
+    text = "number of fingers on this machine (default: 1)"
+    add_option(wish, "--fingers", "N", text, number("a number from 1 to 100", 1, 100, int))
+    text = f"one or more of {', '.join(OUTPUTS)}, together (default: each alone, and all)"
+    add_option(wish, "--outputs", "NAME,...", text, _outputs)
+    parser.add_argument("--plot", action="store_true", help="with --out: also write tradeoff.png")
+    text = "time only the learned profiles and print a report to send in; it omits this board's host name"
     parser.add_argument("--report", action="store_true", help=text)
     study.add_simulated(parser, SENSORS, "the paper's five")
 
 
+def _outputs(text: str) -> tuple[str, ...]:
+    names = {word.strip() for word in text.split(",")}
+    if unknown := sorted(names - {*OUTPUTS}):
+        raise argparse.ArgumentTypeError(f"found {unknown[0]!r}, expected one or more of {', '.join(OUTPUTS)}")
+    return tuple(name for name in OUTPUTS if name in names)
+
+
 def run(args: argparse.Namespace) -> int:
-    """Measure, print the tables and the settings, and write the files."""
+    if args.plot and args.out is None:
+        args.parser.error("--plot requires --out")
     if args.report:
         return _report(args)
+    drawn = args.plot and study.will_draw(args, "tradeoff.png")
+    profiles = tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
     mistakes: list[str] = []
-    names = tuple(dict.fromkeys(args.profile or PROFILES))
-    settings = grid(names)
-    own = study.is_own(args, ("sensors", "objects"))
-    study.make_folder(args.out)
-    with workers() as pool:
-        if own:
-            calibration, cases, mistakes = study.own_images(args)
-            images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
-            if not any(case.touched for case in images[0].cases):
-                expected = "found no image of a contact to score, expected at least one with a truth file"
-                raise ConfigError(f"{args.images}: {expected}")
-            data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
-        else:
-            sensors = args.sensors or study.sensors(SENSORS)
-            objects = args.objects or tuple(PAPER_OBJECTS)
-            data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
-            images = simulated(sensors, objects, pool, Progress())
-        drawn = study.will_draw(args, "tradeoff.png")
-        rows = score_settings(settings, images, pool, Progress())
-    found, busy = weigh_and_time(settings, images, rows, Progress())
+    if args.images is not None and study.is_own(args, ("sensors", "objects")):
+        calibration, cases, mistakes = study.own_images(args)
+        some = settings(profiles, calibration)
+        judged = judge(some, calibration, cases)
+    else:
+        study.make_folder(args.out)
+        some, calibration, judged = _simulated(args, profiles)
+    if not any(each.touched for each in judged):
+        expected = "found no image of a contact to score, expected at least one with a truth file"
+        raise ConfigError(f"{args.images}: {expected}")
+    every = tuple(name for name in OUTPUTS if any(name in each.outputs(calibration) for each in some))
+    if missing := [name for name in args.outputs or () if name not in every]:
+        args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
+    asked = [args.outputs] if args.outputs else [*((name,) for name in every), every]
+    rows, busy = measure(some, asked, calibration, judged, Progress())
     if busy > BUSY:
         warn(f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here")
-    document = report.document(found, data, busy)
-    study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)
+    csv = {"": report.csv_text(rows)}
+    study.publish(args, "tradeoff", report.table(rows), csv, report.document(rows, busy))
     if drawn:
-        study.write(args.out / "tradeoff.png", report.draw(found, args.budget_ms))
-    kept = args.budget_ms is None or _print_settings(found, args.budget_ms, aside=args.json)
-    return 0 if kept and not mistakes else 1
+        study.write(args.out / "tradeoff.png", report.draw(rows, args.budget_ms))
+    holds = True
+    if (args.budget_ms, args.fps, args.fingers) != (None, None, None):
+        wish = report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
+        holds, text = report.choose([row for row in rows if row.outputs == asked[-1]], wish)
+        if holds:
+            print(f"\n{text}", file=sys.stderr if args.json else sys.stdout)
+        else:
+            warn(text)
+    return 0 if holds and not mistakes else 1
+
+
+def _simulated(
+    args: argparse.Namespace, profiles: tuple[str, ...]
+) -> tuple[tuple[Setting, ...], Calibration, list[Judged]]:
+    """Judge on simulated sensors: a twin of the user's, or the named ones; the calibration is the first sensor's."""
+    progress = Progress()
+    if args.calibration is not None and args.sensors is not None:
+        args.parser.error("--sensors cannot be used with --calibration")
+    with workers() as pool:
+        if args.calibration is not None:
+            sensors = [_twin(args, progress)]
+        else:
+            names = args.sensors or study.sensors(SENSORS)
+            found = calibrate_sensors(names, REFERENCES, PRESSES, pool, progress)
+            sensors = [
+                Simulation(str(name), name.seed, name.make, made.calibration)
+                for name, made in zip(names, found, strict=True)
+            ]
+        calibration = sensors[0].calibration
+        some = settings(profiles, calibration)
+        return some, calibration, simulated(some, sensors, args.objects or [*PAPER_OBJECTS], pool, progress)
 
 
 def _report(args: argparse.Namespace) -> int:
-    """Measure the shipped profiles in the same way on every board, and print a report."""
-    for name in ("profile", "out", "calibration", "images", "budget_ms", "sensors", "objects"):
+    """Measure the learned profiles in the same way on every board, and print the table and the board's facts."""
+    for name in ("profile", "calibration", "images", "budget_ms", "fps", "fingers", "outputs", "sensors", "objects"):
         if getattr(args, name) is not None:
             args.parser.error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
-    if args.json:
-        args.parser.error("--report prints Markdown: expected no --json")
-    machine, progress = Machine(), Progress()
+    args.report, args.outputs, args.sensors = False, ("height",), study.sensors("default")
+    machine = Machine()
     facts, before = board_facts(machine), heat(machine)
-    settings = [Setting(PROFILES[name]) for name in report.PROFILES]
-    with workers() as pool:
-        images = simulated(study.sensors("default"), tuple(PAPER_OBJECTS), pool, progress)
-        rows = score_settings(settings, images, pool, progress)
-    found, busy = weigh_and_time(settings, images, rows, progress)
-    if before:
-        facts |= {"before": before, "after": heat(machine)}
-    print(report.board_block(facts, found, busy), end="")
-    return 0
+    code = run(args)
+    facts |= {"before": before, "after": heat(machine)} if before else {}
+    print("\n" + "\n".join(f"- {name}: {text}" for name, text in facts.items()))
+    return code
 
 
-def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) -> bool:
-    """Print the settings for a budget; if no profile keeps it, print that and return False."""
-    block = report.settings_block(found, budget_ms)
-    if block is None:
-        warn(report.over_budget(found, budget_ms))
-        return False
-    print(f"\n{block}", file=sys.stderr if aside else sys.stdout)
-    return True
+def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
+    """A simulation of the user's sensor, from its calibration's reference."""
+    need("tradeoff --calibration without --images", "fit", "numba")
+    from tacshade_edge.fitting import identify
+
+    calibration = calibrations.load(args.calibration)
+    small, times = calibration, 1
+    while small.image_width_px > WIDEST_PX and small.image_width_px % 2 == small.image_height_px % 2 == 0:
+        small, times = halved_calibration(small), 2 * times  # four times as fast
+    progress("finding the sensor's print", 0, None)
+    found = identify.identify(small)
+    if not found:
+        raise ConfigError(f"{args.calibration}: found no pins in its reference; add --images DIR, with ground truth")
+    model, layout = found[0].at(found[0].values)
+    if isinstance(layout, identify.Tips):
+        layout = identify.Tips(layout.px * times + (times - 1) / 2)
+    at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px", "blur_px"), calibration
+    model = replace(model, **{name: getattr(identify.base_model(whole), name) for name in at})
+    make = partial(Twin, model, found[0].kind, layout, identify.seen_light(whole)[0])
+    sensor = make()
+    greys = [to_grey(sensor.frame((), REFERENCE_NOISE + k).image) for k in range(REFERENCES)]
+    return Simulation("twin", None, make, with_reference(whole, greys))
+
+
+class Twin:
+    """A simulated sensor with a print that was found (`fitting.identify`)."""
+
+    def __init__(self, model: SensorModel, kind: Kind, layout: Layout, light: F32) -> None:
+        from tacshade_edge.fitting.identify import TwinRenderer, print_of
+
+        self.model = model
+        self._renderer = TwinRenderer(model, kind, print_of(model, kind, layout), light)
+
+    def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture."""
+        skin = skin_under(self.model, presses)
+        image = self._renderer.expose(self._renderer.draw(skin), noise_seed)
+        return SimulatedFrame(image, tuple(presses), skin, self.model)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -90,11 +90,11 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
     return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
 
 
-def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("matplotlib",)) -> bool:
-    """Whether pictures are wanted and can be drawn; imports nothing, and prints a line if a package is missing."""
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
+def will_draw(args: argparse.Namespace, files: str) -> bool:
+    """Whether plots are wanted and can be drawn; imports nothing, and prints a line if matplotlib is missing."""
+    missing = importlib.util.find_spec("matplotlib") is None
     if args.out and missing:
-        warn(f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}")
+        warn(f"{files} will be missing without matplotlib: {how_to_install('studies')}")
     return args.out is not None and not missing
 
 

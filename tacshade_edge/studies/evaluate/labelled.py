@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from tacshade_edge.reasons import code_of
-from tacshade_edge.studies.tables import grouped, markdown, new_figure, png, summary, without_nan
+from tacshade_edge.studies.tables import grouped, markdown, summary, without_nan
 from tacshade_edge.types import F64, Reconstruction
 
 COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
@@ -146,30 +146,3 @@ def document(rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]) 
     agreements = {name: [asdict(each) for each in some] for name, some in made.items()}
     found: dict[str, object] = without_nan({"frames": [asdict(row) for row in rows], "agreements": agreements})
     return found
-
-
-PANELS = (
-    ("depth_mm", "depth_mm", "depth, mm"),
-    ("volume_mm3", "depth_mm", "volume, mm³"),
-    ("tilt_x_deg", "tilt_x_deg", "tilt about x, °"),
-    ("tilt_y_deg", "tilt_y_deg", "tilt about y, °"),
-    ("shear_x_mm", "shear_x_mm", "shear along x, mm"),
-    ("shear_y_mm", "shear_y_mm", "shear along y, mm"),
-)
-
-
-def draw(rows: Mapping[str, Sequence[FoundRow]], known: Sequence[Mapping[str, float]]) -> bytes:
-    """Plot found against known values as a PNG, a panel for each quantity and a colour for each profile."""
-    figure, panels = new_figure(2, 3, 13, 8, dpi=90)
-    for axes, (found, true, title) in zip(panels.flat, PANELS, strict=True):
-        for profile, some in rows.items():
-            points = [
-                (labels[true], getattr(row, found))
-                for row, labels in zip(some, known, strict=True)
-                if not row.refused and true in labels
-            ]
-            if points:
-                axes.plot(*np.array(points).T, ".", markersize=3, alpha=0.5, label=profile)
-        axes.set(title=title, xlabel=f"known: {true}", ylabel=f"found: {found}")
-    figure.axes[0].legend(frameon=False, loc="upper left")
-    return png(figure)

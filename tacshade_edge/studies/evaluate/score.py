@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,8 @@ class KnownTruth:
     row0: float = 0.0
     col0: float = 0.0
     step_px: float = 1.0
+    height_mm: F32 | None = None  # (rows, cols) as `contact`
+    shear_mm: F32 | None = None  # (rows, cols, 2), perhaps only of the contact
 
     @classmethod
     def of(cls, true: Truth) -> KnownTruth:
@@ -70,18 +72,28 @@ class KnownTruth:
 
     def contact_on(self, height: HeightMap) -> Bool | None:
         """Sample `contact` at the cells of a height map (the nearest cell; False beyond its edge)."""
-        if self.contact is None:
-            return None
-        rows, cols = self.contact.shape
-        i, j = (
-            np.rint((origin + height.step_px * np.arange(count) - mine) / self.step_px).astype(int)
-            for origin, count, mine in zip(
-                (height.row0, height.col0), height.contact.shape, (self.row0, self.col0), strict=True
-            )
-        )
-        known = ((i >= 0) & (i < rows))[:, None] & ((j >= 0) & (j < cols))[None, :]
-        taken: Bool = known & self.contact[np.clip(i, 0, rows - 1)[:, None], np.clip(j, 0, cols - 1)[None, :]]
+        taken: Bool | None = self.sampled(self.contact, height, False)
         return taken
+
+    def sampled(self, values: Any, height: HeightMap, beyond: float = math.nan) -> Any:
+        """Sample one of the maps at the cells of a height map (the nearest cell); None if it is not known."""
+        if values is None:
+            return None
+        at, inside = [], []
+        for origin, count, mine, size in zip(
+            (height.row0, height.col0), height.contact.shape, (self.row0, self.col0), values.shape[:2], strict=True
+        ):
+            index = np.rint((origin + height.step_px * np.arange(count) - mine) / self.step_px).astype(int)
+            at.append(np.clip(index, 0, size - 1))
+            inside.append((index >= 0) & (index < size))
+        taken = values[np.ix_(*at)]
+        taken[~(inside[0][:, None] & inside[1][None, :])] = beyond
+        return taken
+
+    def halved(self) -> KnownTruth:
+        """The same ground truth for an image of half the size."""
+        row0, col0 = (self.row0 - 0.5) / 2, (self.col0 - 0.5) / 2
+        return replace(self, row0=row0, col0=col0, step_px=self.step_px / 2)
 
 
 def between_pixels(points_mm: F32, contact: Bool) -> F32:
@@ -222,7 +234,12 @@ def _truth(content: Mapping[str, Any], image_size_px: tuple[int, int], geometry:
     if len(points) and wrong:
         expected = f"expected a depth from {_DEPTH_MIN_MM:g} to {most:g} mm"
         raise DecodeError(f"found a contact whose greatest depth is {wrong[0]:.3g} mm, {expected}")
-    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step)
+    shear = numbers(content, "shear_mm", 3, nan=True) if "shear_mm" in content else None
+    if shear is not None:
+        _check_covers("shear_mm", shear.shape[:2], (row0, col0, step), image_size_px)
+        if shear.shape[2] != 2:
+            raise DecodeError(f"shear_mm: found numbers of shape {shear.shape}, expected the shape (rows, cols, 2)")
+    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step, height, shear)
 
 
 def _content(path: Path) -> dict[str, Any]:

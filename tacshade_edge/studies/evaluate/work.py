@@ -253,15 +253,11 @@ def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]
         yield Case(label, KnownTruth.of(frame.truth()), frame.image)
 
 
-def null_cases(name: SensorName, sensor: PressedSensor, count: int) -> Iterator[Case]:
+def null_cases(name: SensorName | str, sensor: PressedSensor, count: int) -> Iterator[Case]:
     """Yield pictures of the untouched skin (`null_images`)."""
     nothing = KnownTruth(NOTHING, 0.0, None)
     for what, image in null_images(sensor, count):
         yield Case(Label(str(name), "none", what), nothing, image)
-
-
-TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
-"""Number of timed frames, and of rounds over them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,14 +279,6 @@ class Evaluation:
 
     rows: tuple[Row, ...]
     calibrations: tuple[CalibrationResult, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """The time in ms of a frame in contact, on one thread of an otherwise idle machine."""
-
-    p50_ms: float
-    steps: int
 
 
 def evaluate(plan: Plan, workers: Workers, report: Report) -> Evaluation:
@@ -315,34 +303,6 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
     return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]
 
 
-def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[str, Timing]:
-    """Time every profile on the first sensor and the first objects, each pressed in the middle at the middle depth.
-
-    Profiles run one after another in this process, with one OpenCV thread.
-    """
-    name = plan.sensors[0]
-    sensor = name.make()
-    depth_mm = plan.depths_mm[len(plan.depths_mm) // 2]
-    frames = []
-    for object_name in plan.objects[:TIMED_OBJECTS]:
-        scene = scenes(sensor.model, name.seed, object_name, (depth_mm,))[0]
-        frames.append(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image))
-    timings = {}
-    with one_thread():
-        for k, profile in enumerate(plan.profiles):
-            report("profiles timed", k, len(plan.profiles))
-            made = reconstructor(calibration, profile)
-            made.step(frames[0])  # the first step imports and allocates
-            taken = []
-            for frame in frames * TIMED_ROUNDS:
-                start = time.perf_counter_ns()
-                made.step(frame)
-                taken.append((time.perf_counter_ns() - start) / 1e6)
-            timings[profile] = Timing(float(np.median(taken)), len(taken))
-        report("profiles timed", len(plan.profiles), len(plan.profiles))
-    return timings
-
-
 def read_images(
     calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
 ) -> Iterator[Case]:
@@ -363,21 +323,7 @@ def read_images(
     report("images", len(images), len(images))
 
 
-def evaluate_images(
-    calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
-) -> tuple[list[Row], dict[str, Timing]]:
-    """Score images one after another in this process and time every step."""
-    made = {profile: reconstructor(calibration, profile) for profile in profiles}
-    taken: dict[str, list[float]] = {profile: [] for profile in profiles}
-    rows = []
-    for case in cases:
-        frame = Frame(0, 0, 0, case.image)
-        for profile, each in made.items():
-            if not taken[profile]:
-                each.step(frame)  # the first step imports and allocates
-            start = time.perf_counter_ns()
-            result = each.step(frame)
-            taken[profile].append((time.perf_counter_ns() - start) / 1e6)
-            rows.append(score(case.label, case.truth, result))
-    timings = {p: Timing(float(np.median(ms)), len(ms)) for p, ms in taken.items() if ms}
-    return rows, timings
+def evaluate_images(calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]) -> list[Row]:
+    """Score images one after another in this process."""
+    made = [reconstructor(calibration, profile) for profile in profiles]
+    return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]

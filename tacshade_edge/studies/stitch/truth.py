@@ -3,60 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from tacshade_edge.core.stitching.stitcher import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.npz import numbers, read_arrays
-from tacshade_edge.types import F32, F64, U8, frozen
+from tacshade_edge.types import F32, F64, U8
 
-_STATION_MM = 1.0  # spacing along a bar, and along a circle's arc
-_BESIDE_MM = 1.5  # width next to a bulge's edge that still belongs to it
-_FLAT_MM, _FLAT_WITHIN_MM = 0.1, 0.75
 _BYTES_MAX = 64 << 20
 _STEP_MIN_MM = 0.001
 _CELLS_MAX = 1 << 22  # a 100 mm square at 0.05 mm
-_SHAPES_MAX = 1000
-_END_MM = 2.0  # ignored at each end of a bar, which is round to the touch
-
-
-@frozen
-class KnownSurface:
-    """A known surface, the contents of PAD.npz."""
-
-    raster: Raster
-    bars_mm: F64  # (N, 5) straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be empty
-    circles_mm: F64  # (M, 4) ring bulges: x, y, radius of the middle line, width; may be empty
-
-
-@dataclass(frozen=True, slots=True)
-class BarScore:
-    """A straight bulge: how its middle line in the map differs from the true one."""
-
-    x_mm: float
-    y_mm: float
-    width_mm: float
-    angle_deg: float
-    off_mm: float
-    bent_mm: float
-
-
-@dataclass(frozen=True, slots=True)
-class CircleScore:
-    """A ring: the radius of its middle line in the map, and its deviation from a circle."""
-
-    radius_mm: float
-    found_mm: float
-    radius_percent: float
-    round_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,17 +33,13 @@ class Score:
     raised_coverage: float  # part of the surface above half its height that the map covers
     raised_rms_mm: float
     raised_mean_mm: float
-    flat_rms_mm: float  # where the known surface varies by at most 0.1 mm within 0.75 mm
-    wall_part: float  # part of the squared error in all other places
-    bars: tuple[BarScore, ...]
-    circles: tuple[CircleScore, ...]
 
     def as_json(self) -> dict[str, Any]:
         """The score for JSON, rounded to 0.1 µm."""
-        return {key: _rounded(value) for key, value in asdict(self).items()}
+        return {key: round(value, 4) if math.isfinite(value) else None for key, value in asdict(self).items()}
 
 
-def read_known(path: Path) -> KnownSurface:
+def read_known(path: Path) -> Raster:
     """Read PAD.npz. Raises ConfigError if it is not readable, or not a map."""
     try:
         npz = read_arrays(path, _BYTES_MAX)
@@ -91,8 +49,7 @@ def read_known(path: Path) -> KnownSurface:
             found = f"z_mm of shape {z.shape} at steps of {step:g} mm"
             expected = f"heights in at most {_CELLS_MAX} cells, and a step of at least {_STEP_MIN_MM:g} mm"
             raise DecodeError(f"found {found}, expected {expected}")
-        shapes = (_shapes(npz, name, columns) for name, columns in (("bars_mm", 5), ("circles_mm", 4)))
-        return KnownSurface(Raster(z.astype(np.float32), x0, y0, step), *shapes)
+        return Raster(z.astype(np.float32), x0, y0, step)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
     except (DecodeError, KeyError) as error:
@@ -101,33 +58,20 @@ def read_known(path: Path) -> KnownSurface:
         ) from None
 
 
-def _shapes(npz: Mapping[str, Any], key: str, columns: int) -> F64:
-    """Bars or circles (N, columns); none without the key. Raises DecodeError."""
-    if key not in npz or not npz[key].size:  # `simulate` has written an empty list as (0,)
-        return np.zeros((0, columns))
-    shapes = numbers(npz, key, 2).astype(float)
-    lengths = np.hypot(*(shapes[:, 2:4] - shapes[:, :2]).T) if columns == 5 else shapes[:, 2]
-    if shapes.shape[1] != columns or len(shapes) > _SHAPES_MAX or not (np.stack((lengths, shapes[:, -1])) > 0).all():
-        expected = f"at most {_SHAPES_MAX} rows of {columns} numbers, sizes above 0"
-        raise DecodeError(f"{key}: found numbers of shape {shapes.shape}, expected {expected}")
-    return shapes
-
-
-def score(found: Raster, known: KnownSurface) -> Score:
+def score(found: Raster, known: Raster) -> Score:
     """Compare a map cell by cell with the nearest known height. Raises ConfigError if they share no cell."""
-    true = at_cells_of(known.raster, found)
+    true = at_cells_of(known, found)
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
     if not both.any():
         raise ConfigError("the known surface and the map share no cell; are the poses in the surface's frame?")
     error = found.z_mm[both].astype(np.float64) - true[both]
-    low, high = float(np.nanmin(known.raster.z_mm)), float(np.nanmax(known.raster.z_mm))
+    low, high = float(np.nanmin(known.z_mm)), float(np.nanmax(known.z_mm))
     half = (low + high) / 2
     with np.errstate(invalid="ignore"):
-        raised = known.raster.z_mm > half
+        raised = known.z_mm > half
         over = true[both] > half
-    there = np.isfinite(at_cells_of(found, known.raster))
-    flat = at_cells_of(replace(known.raster, z_mm=_variation(known.raster)), found)[both] <= _FLAT_MM
+    there = np.isfinite(at_cells_of(found, known))
     return Score(
         rms_mm=_rms(error),
         mean_mm=float(error.mean()),
@@ -137,19 +81,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
         raised_coverage=float(there[raised].mean()) if raised.any() else float("nan"),
         raised_rms_mm=_rms(error[over]) if over.any() else float("nan"),
         raised_mean_mm=float(error[over].mean()) if over.any() else float("nan"),
-        flat_rms_mm=_rms(error[flat]) if flat.any() else float("nan"),
-        wall_part=float(np.sum(error[~flat] ** 2) / max(np.sum(error**2), 1e-12)),
-        bars=tuple(_bar(found, bar, half) for bar in known.bars_mm),
-        circles=tuple(_circle(found, circle, half) for circle in known.circles_mm),
     )
-
-
-def _variation(raster: Raster) -> F32:
-    """Greatest minus least height in mm around each cell; NaN where the surface is unknown."""
-    side = 2 * math.ceil(_FLAT_WITHIN_MM / raster.step_mm) + 1
-    z = np.nan_to_num(raster.z_mm, nan=float(np.nanmin(raster.z_mm)))
-    varies = maximum_filter(z, side) - minimum_filter(z, side)
-    return np.where(np.isfinite(raster.z_mm), varies, np.float32(np.nan)).astype(np.float32)
 
 
 def at_cells_of(values: Raster, places: Raster) -> F32:
@@ -166,65 +98,8 @@ def at_cells_of(values: Raster, places: Raster) -> F32:
     return np.asarray(padded[np.ix_(*indices)])
 
 
-def _bar(found: Raster, bar: F64, half: float) -> BarScore:
-    """Fit a line through the middles of the raised cells, station by station along the bar."""
-    x0, y0, x1, y1, width = bar.tolist()
-    length = float(np.hypot(x1 - x0, y1 - y0))
-    c, s = (x1 - x0) / length, (y1 - y0) / length
-    u, v = found.points()[:, 0] - x0, found.points()[:, 1] - y0
-    along, across = c * u + s * v, c * v - s * u
-    near = (np.abs(across) < width / 2 + _BESIDE_MM) & (along > _END_MM) & (along < length - _END_MM)
-    near &= found.points()[:, 2] > half
-    stations, middles = _means(along[near], across[near], np.ones(np.count_nonzero(near)), _STATION_MM)
-    where = {"x_mm": (x0 + x1) / 2, "y_mm": (y0 + y1) / 2, "width_mm": width}
-    if len(stations) < 3:
-        return BarScore(**where, angle_deg=float("nan"), off_mm=float("nan"), bent_mm=float("nan"))
-    slope, offset = np.polyfit(stations - length / 2, middles, 1)
-    bent = middles - (slope * (stations - length / 2) + offset)
-    return BarScore(
-        **where, angle_deg=math.degrees(math.atan(slope)), off_mm=float(offset), bent_mm=float(np.abs(bent).max())
-    )
-
-
-def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
-    """Fit a circle through the middles of the raised cells, station by station around the ring."""
-    x, y, radius, width = circle.tolist()
-    points = found.points()
-    rho, angle = np.hypot(points[:, 0] - x, points[:, 1] - y), np.arctan2(points[:, 1] - y, points[:, 0] - x)
-    near = (np.abs(rho - radius) < width / 2 + _BESIDE_MM) & (points[:, 2] > half)
-    # Weight cells by 1/ρ: a ring has more cells outside its middle line than inside.
-    angles, radii = _means(angle[near], rho[near], 1 / rho[near], _STATION_MM / radius)
-    if len(angles) < 3:
-        return CircleScore(radius, float("nan"), float("nan"), float("nan"))
-    at = np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=1)
-    # |p|² = 2 c·p + (R² - |c|²), linear in c and the bracket.
-    solution = np.linalg.lstsq(np.column_stack((2 * at, np.ones(len(at)))), np.sum(at * at, axis=1), rcond=None)[0]
-    found_mm = float(np.sqrt(solution[2] + solution[:2] @ solution[:2]))
-    off = np.hypot(*(at - solution[:2]).T) - found_mm
-    return CircleScore(radius, found_mm, 100 * (found_mm / radius - 1), float(np.abs(off).max()))
-
-
-def _means(position: F64, values: F64, weight: F64, step: float) -> tuple[F64, F64]:
-    """Weighted mean position and value of each station that is not empty."""
-    if not position.size:
-        return np.zeros(0), np.zeros(0)
-    _, index = np.unique(np.floor(position / step), return_inverse=True)
-    total = np.bincount(index, weight)
-    return np.bincount(index, weight * position) / total, np.bincount(index, weight * values) / total
-
-
 def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_rounded(v) for v in value]
-    if isinstance(value, float):
-        return round(value, 4) if np.isfinite(value) else None
-    return value
 
 
 _BLOCK_MM = 100.0

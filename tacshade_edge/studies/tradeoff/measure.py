@@ -1,190 +1,224 @@
-"""The settings of the study, and what each costs on this machine: scores of the same images, time, memory."""
+"""What outputs cost on this machine and how wrong they are, by profile, image size and networks."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
+import operator
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.depth import Depth
-from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, finite_shape_grey, hybrid_depth, scaled
-from tacshade_edge.core.image.preprocess import GreyMaps
-from tacshade_edge.core.profiles import PROFILES, Profile
-from tacshade_edge.core.reconstruct import STAGES, Reconstructor
-from tacshade_edge.inference.network import load_network
-from tacshade_edge.studies.evaluate.score import Row, score
+from tacshade_edge.core.depth.sigma import INTERVAL_90
+from tacshade_edge.core.image.preprocess import halved_calibration
+from tacshade_edge.core.image.white import halved
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.protocol import messages, wire
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score_cloud
 from tacshade_edge.studies.evaluate.work import (
     DEPTHS_MM,
-    PRESSES,
-    REFERENCES,
-    RINGS,
     Case,
-    SensorName,
-    calibrate_sensors,
+    PressedSensor,
+    Scene,
     null_cases,
     one_thread,
-    press_cases,
     scenes,
-    stages_ms,
     work_ns,
 )
 from tacshade_edge.studies.parallel import Report, Workers, processes, reported_map
-from tacshade_edge.types import F64, U8, Bool, Calibration, Frame
+from tacshade_edge.types import F64, U8, Bool, Calibration, Frame, Need, Reconstruction
+
+NULL_FRAMES = 10
+DRAG_MM = 1.5
+"""How far each object is dragged, on a skin of 20 mm; in the direction of its rotation."""
+WEIGHED_IMAGES = 3
+ROUNDS = 12
+SLICE_MS = 100.0
+"""Time for each setting in a round; at least one frame, at most all of them."""
+IDLE_FRAMES = 5
+FRAME_NS = 1_000_000_000 // 60
+DRAWS = 1000
+LEAST = 3
+"""Fewest scenes for which an interval is drawn."""
+HELD = 0.8
+"""Part of the processor that frames may take; the rest is for cameras, broker and system."""
 
 
-def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """The depth α g_hn, in place of `hybrid_sfs.hybrid_depth`: the starting point of the iterations of eq. 11."""
-    g_hn, bad = finite_shape_grey(maps)
-    return scaled(g_hn.astype(np.float64), alpha_mm, bad)
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the daemon computes and encodes for a topic, and the error by which `errors` judges it."""
+
+    need: Need
+    encode: Callable[[Reconstruction], bytes]
+    what: str
+    unit: str = "mm"
+    spec: str = ".3f"
 
 
-WORDS: dict[str, Callable[[Any], str]] = {
-    "solver": "solver {}".format,
-    "halved": lambda halved: "halved" if halved else "not halved",
-    "stride_px": "stride {} px".format,
-    "window_pitches": "window {} pitch".format,
-    "tv_weight": "TV {:g}".format,
+def _binary(encode: Callable[..., bytes]) -> Callable[[Reconstruction], bytes]:
+    return lambda result: encode(result, calibration_crc32=0)
+
+
+OUTPUTS: dict[str, Output] = {
+    "contact": Output(Need.DEPTH, lambda result: messages.encode_contact(result, fps=0.0), "greatest depth"),
+    "height": Output(Need.DEPTH, _binary(wire.encode_height), "mean over the contact"),
+    "cloud": Output(Need.DEPTH, _binary(wire.encode_cloud), "ME, eq. 13"),
+    "shear": Output(Need.SHEAR, _binary(wire.encode_shear), "mean over the contact"),
+    "touch": Output(Need.TOUCH, messages.encode_touch, "see calibrate --labels"),
+    "sigma": Output(Need.SIGMA, _binary(wire.encode_sigma), "share in 90 % intervals, from 90 %", "%", ".0f"),
 }
-"""The varied fields, and a formatter of each."""
 
-# A frame takes half a second at stride 1; only the decisive variations use it.
-_AROUND_PAPER: tuple[dict[str, Any], ...] = (
-    {"scaled_grey": True},
-    {"halved": True},
-    {"stride_px": 4},
-    {"stride_px": 8},
-    {"stride_px": 4, "window_pitches": 1},
-    {"stride_px": 4, "tv_weight": 0.0},
-    {"stride_px": 4, "scaled_grey": True},
-)
+
+def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
+    """How wrong each output is, as far as that is known; a missed contact counts as undeformed skin."""
+    height, points = result.height, result.cloud.points_mm
+    found = {"contact": abs(result.depth_max_mm - truth.depth_max_mm)}
+    found["cloud"] = score_cloud(points, truth.points_mm, 1.0).me_mm if len(points) else truth.depth_max_mm
+    touched = truth.contact_on(height)
+    true_mm, true_shear_mm = (truth.sampled(each, height) for each in (truth.height_mm, truth.shear_mm))
+    if touched is None or true_mm is None:
+        return found
+    off_mm = np.abs(height.height_mm - true_mm)
+    cells = (touched | height.contact) & np.isfinite(off_mm)
+    found["height"] = float(off_mm[cells].mean()) if cells.any() else truth.depth_max_mm
+    if result.shear_mm is not None and true_shear_mm is not None:
+        off = np.linalg.norm(result.shear_mm - true_shear_mm, axis=-1)
+        cells = touched & np.isfinite(off)
+        found["shear"] = float(off[cells].mean()) if cells.any() else math.nan
+    if result.sigma_mm is not None and height.contact.any():
+        inside = off_mm <= INTERVAL_90 * result.sigma_mm
+        found["sigma"] = abs(100 * float(inside[height.contact].mean()) - 90)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A way to reconstruct."""
+    """A profile at the calibration's image size or half of it, with the calibration's fitted networks or without."""
 
-    profile: Profile  # a shipped one, or a variation with its name, network and factor
-    scaled_grey: bool = False  # the paper's method without eq. 11
+    profile: str
+    half: bool
+    fitted: bool
 
-    @property
-    def shipped(self) -> bool:
-        """Whether a user can choose the setting by name."""
-        return self == Setting(PROFILES[self.profile.name])
+    def calibration(self, whole: Calibration) -> Calibration:
+        """The calibration that it runs with."""
+        made = halved_calibration(whole) if self.half else whole
+        return made if self.fitted else replace(made, fitted={})
 
-    @property
-    def fields(self) -> dict[str, Any]:
-        """The fields that may vary (`WORDS`), with their values."""
-        solver = {"solver": "grey"} if self.scaled_grey else {}
-        return {field: getattr(self.profile, field) for field in WORDS} | solver
+    def image(self, image: U8) -> U8:
+        """The image that its camera would take."""
+        return halved(image) if self.half else image
 
-    @property
-    def varied(self) -> str:
-        """The differences from the shipped profile; empty for that profile itself."""
-        base = Setting(PROFILES[self.profile.name]).fields
-        words = [WORDS[field](value) for field, value in self.fields.items() if value != base[field]]
-        return ", ".join(words)
+    def make(self, whole: Calibration) -> Reconstructor:
+        """Make its reconstructor."""
+        return make_reconstructor(self.calibration(whole), PROFILES[self.profile])
 
-    def __str__(self) -> str:
-        """The setting's name for people, unique in a grid."""
-        return ", ".join(filter(None, (self.profile.name, self.varied)))
-
-
-def grid(names: Sequence[str]) -> tuple[Setting, ...]:
-    """The shipped profiles of these names, each followed by its variations."""
-    settings = []
-    for profile in (PROFILES[name] for name in names):
-        around = ({"halved": not profile.halved},) if profile.network else _AROUND_PAPER
-        settings.append(Setting(profile))
-        settings += [_changed(profile, changes) for changes in around]
-    return tuple(settings)
+    def outputs(self, calibration: Calibration) -> tuple[str, ...]:
+        """The outputs that it can have."""
+        learned = PROFILES[self.profile].network is not None
+        return tuple(
+            name
+            for name in OUTPUTS
+            if name in ("contact", "height", "cloud")
+            or (learned and (name != "touch" or self.profile in calibration.touch))
+        )
 
 
-def _changed(profile: Profile, changes: Mapping[str, Any]) -> Setting:
-    own = {field: value for field, value in changes.items() if field in Setting.__dataclass_fields__}
-    return Setting(replace(profile, **{field: changes[field] for field in changes.keys() - own.keys()}), **own)
-
-
-def make(setting: Setting, calibration: Calibration) -> Reconstructor:
-    """Make the reconstructor of a setting, with its own network if it needs one."""
-    profile = setting.profile
-    if profile.network:
-        return Reconstructor(calibration, profile, load_network(profile.network))
-    return Reconstructor(
-        calibration,
-        profile,
-        make_solver=partial(HybridSfs, depth=scaled_grey if setting.scaled_grey else hybrid_depth),
+def settings(profiles: Sequence[str], calibration: Calibration) -> tuple[Setting, ...]:
+    """All settings of these profiles; fitted ones where the calibration has a fitted network of the profile."""
+    even = calibration.image_height_px % 2 == calibration.image_width_px % 2 == 0
+    return tuple(
+        Setting(profile, half, fitted)
+        for profile in profiles
+        for half in ((False, True) if even else (False,))
+        for fitted in ((True, False) if profile in calibration.fitted else (False,))
     )
-
-
-NULL_FRAMES = 10
-"""Number of frames without contact of each simulated sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensorCases:
-    """All images of one sensor."""
+class Judged:
+    """An image, and each setting's result of it."""
 
+    sensor: str
+    image: U8
+    touched: bool
+    contact: Bool  # (settings,) whether it was found
+    errors: F64  # (settings, outputs), NaN if nothing touches
+
+
+def judge(settings: Sequence[Setting], calibration: Calibration, cases: Iterable[Case]) -> list[Judged]:
+    """Reconstruct every case with every setting."""
+    made = [(each, each.make(calibration)) for each in settings]
+    judged = []
+    for case in cases:
+        contact = np.zeros(len(made), bool)
+        off = np.full((len(made), len(OUTPUTS)), np.nan)
+        for k, (setting, one) in enumerate(made):
+            result = one.step(Frame(0, 0, 0, setting.image(case.image)))
+            contact[k] = result.contact
+            truth = case.truth.halved() if setting.half else case.truth
+            if case.touched:
+                found = errors(result, truth)
+                off[k] = [found.get(name, math.nan) for name in OUTPUTS]
+        judged.append(Judged(case.label.sensor, case.image, case.touched, contact, off))
+    return judged
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A sensor to simulate, its name and seed, and its calibration."""
+
+    name: str
+    seed: int | None
+    make: Callable[[], PressedSensor]
     calibration: Calibration
-    cases: tuple[Case, ...]
 
 
 def simulated(
-    sensors: Sequence[SensorName], objects: Sequence[str], workers: Workers, report: Report
-) -> tuple[SensorCases, ...]:
-    """Render every object at one place of each sensor (the next object at the next place) and three depths.
+    settings: Sequence[Setting], sensors: Sequence[Simulation], objects: Sequence[str], workers: Workers, report: Report
+) -> list[Judged]:
+    """Press and drag every object at one place and three depths of each sensor, and judge the settings.
 
-    Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
+    Raises DeviceError (a worker was killed).
     """
-    calibrations = calibrate_sensors(sensors, REFERENCES, PRESSES, workers, report)
-    tasks = [(name, what, k) for name in sensors for k, what in enumerate((*objects, None))]
-    found = list(reported_map(_cases, tasks, workers, report, "objects pressed"))
-    count = len(objects) + 1
-    return tuple(
-        SensorCases(made.calibration, tuple(case for some in found[k * count : (k + 1) * count] for case in some))
-        for k, made in enumerate(calibrations)
-    )
+    tasks = [(tuple(settings), each, name, k) for each in sensors for k, name in enumerate((*objects, None))]
+    return [each for some in reported_map(_simulated, tasks, workers, report, "objects pressed") for each in some]
 
 
-def _cases(task: tuple[SensorName, str | None, int]) -> list[Case]:
-    """Presses of one object, or frames without contact, on one sensor."""
-    name, object_name, number = task
-    sensor = name.make()
+def _simulated(task: tuple[Sequence[Setting], Simulation, str | None, int]) -> list[Judged]:
+    settings, one, object_name, number = task
+    sensor = one.make()
     if object_name is None:
-        return list(null_cases(name, sensor, NULL_FRAMES))
-    first = number % len(RINGS) * len(DEPTHS_MM)
-    return list(press_cases(name, sensor, scenes(sensor.model, name.seed, object_name)[first : first + len(DEPTHS_MM)]))
+        return judge(settings, one.calibration, null_cases(one.name, sensor, NULL_FRAMES))
+    every = scenes(sensor.model, one.seed, object_name)
+    first = number * len(DEPTHS_MM) % len(every)
+    return judge(settings, one.calibration, _dragged(one.name, sensor, every[first : first + len(DEPTHS_MM)]))
 
 
-def score_settings(
-    settings: Sequence[Setting], sensors: Sequence[SensorCases], workers: Workers, report: Report
-) -> list[list[list[Row]]]:
-    """Rows for each setting, sensor and image, nested in that order. Raises DeviceError (a worker was killed)."""
-    tasks = [(setting, each) for setting in settings for each in sensors]
-    rows = list(reported_map(_rows, tasks, workers, report, "settings scored"))
-    count = len(sensors)
-    return [rows[k * count : (k + 1) * count] for k in range(len(settings))]
+def _dragged(name: str, sensor: PressedSensor, scenes: Iterable[Scene]) -> Iterator[Case]:
+    """Yield a picture of each scene whose object is dragged too."""
+    for scene in scenes:
+        press, along = scene.press, math.radians(scene.press.rotation_deg)
+        x_mm, y_mm = (DRAG_MM * press.scale * part for part in (math.cos(along), math.sin(along)))
+        frame = sensor.frame((replace(press, drag_x_mm=x_mm, drag_y_mm=y_mm),), scene.noise_seed)
+        truth = frame.truth()
+        shear_mm = np.full((*truth.contact.shape, 2), np.nan, np.float32)
+        rows, cols = np.nonzero(truth.contact)
+        shear_mm[rows, cols] = frame.shear_mm(rows.astype(float), cols.astype(float))
+        known = replace(KnownTruth.of(truth), height_mm=truth.height_mm, shear_mm=shear_mm)
+        yield Case(Label(name, scene.object_name), known, frame.image)
 
 
-def _rows(task: tuple[Setting, SensorCases]) -> list[Row]:
-    setting, sensor = task
-    made = make(setting, sensor.calibration)
-    return [score(case.label, case.truth, made.step(Frame(0, 0, 0, case.image))) for case in sensor.cases]
+def weigh(settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report) -> list[float]:
+    """Peak memory in MiB that each setting, with every output, adds to a process of its own.
 
-
-def peak_memory(
-    settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report
-) -> list[float]:
-    """Peak resident memory in MiB that each setting adds to its own process while it reconstructs the images.
-
-    Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and network, and the
+    Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and networks, and the
     temporary memory of a step, do. Raises DeviceError (a worker was killed).
     """
     tasks = [(setting, calibration, images) for setting in settings]
@@ -196,111 +230,75 @@ def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     setting, calibration, images = task
     with contextlib.suppress(OSError):  # if a kernel cannot reset the peak, that of the imports is hardly higher
         Path("/proc/self/clear_refs").write_text("5")
-    before = _greatest_kib()
-    made = make(setting, calibration)
+    before = _peak_kib()
+    made = setting.make(calibration)
     for image in images:
-        made.step(Frame(0, 0, 0, image))
-    return (_greatest_kib() - before) / 1024
+        made.step(Frame(0, 0, 0, setting.image(image)))
+    return (_peak_kib() - before) / 1024
 
 
-def _greatest_kib() -> int:
+def _peak_kib() -> int:
     found = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
     assert found is not None
     return int(found[1])
 
 
-ROUNDS = 15
-SLICE_MS = 100.0
-"""Time for each setting in a round, in ms; at least one frame, at most all of them."""
-IDLE_FRAMES = 5
-"""Number of frames without contact in each setting's part of a round."""
-FRAME_NS = 1_000_000_000 // 60
-"""Interval of the frames' time stamps in ns, so that work not done on every frame costs as much as in a stream."""
+class Timed:
+    """A setting's frames on one thread, and the processor time of each part of them in ms."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Times:
-    """Processor time of frames in ms, an array for each round; a setting that finds no contact has none in contact."""
-
-    # (n, 1 + number of stages): the step without shear and sigma, then `STAGES`, NaN if not run
-    contact: tuple[F64, ...]
-    idle: tuple[F64, ...]  # (m,) frames without contact
-
-
-def time_settings(
-    settings: Sequence[Setting],
-    calibration: Calibration,
-    contact: Sequence[Sequence[U8]],
-    idle: Sequence[U8],
-    report: Report,
-    rounds: int = ROUNDS,
-) -> tuple[list[Times], float]:
-    """Time all settings in rounds on one thread of this process, so that a busy moment affects all settings.
-
-    For each setting, `contact` has the images in which it finds a contact. Also returns elapsed time over this thread's
-    processor time, 1 if nothing else ran.
-    """
-    timed = [_Timed(make(setting, calibration), some, idle) for setting, some in zip(settings, contact, strict=True)]
-    rng = np.random.default_rng(0)
-    with one_thread():
-        for each in timed:
-            each.begin()
-        start, worked = time.perf_counter(), time.thread_time()
-        for done in range(rounds):
-            report("rounds of timing", done, rounds)
-            for k in rng.permutation(len(timed)):
-                timed[k].round()
-        busy = (time.perf_counter() - start) / (time.thread_time() - worked)
-        report("rounds of timing", rounds, rounds)
-    return [Times(tuple(each.taken), tuple(each.waiting)) for each in timed], busy
-
-
-class _Timed:
-    """A setting's reconstructor, its position in its frames, and their times."""
-
-    def __init__(self, made: Reconstructor, contact: Sequence[U8], idle: Sequence[U8]) -> None:
-        self.made, self.contact, self.idle = made, contact, idle
-        self.taken: list[F64] = []
-        self.waiting: list[F64] = []
-        self._count = self._next = self._next_idle = self._t_ns = 0
-
-    def begin(self) -> None:
-        """Find how many frames fit into a slice, from the second step: the first one imports and allocates."""
-        if self.contact:
-            usual_ms = [float(self._step(self.contact[0])[0]) for _ in range(2)][1]
-            self._count = min(len(self.contact), max(1, int(SLICE_MS / usual_ms)))
+    def __init__(self, setting: Setting, need: Need, whole: Calibration, judged: Sequence[Judged]) -> None:
+        self.need = need
+        self.contact: list[dict[str, float]] = []
+        self.idle: list[dict[str, float]] = []
+        self._outputs = [name for name in setting.outputs(whole) if OUTPUTS[name].need in need]
+        self._made = setting.make(whole)
+        self._t_ns = 0
+        self._touched, self._untouched = (
+            [setting.image(each.image) for each in judged if each.touched is touched] for touched in (True, False)
+        )
+        # The first frame imports and allocates.
+        self._touched = [image for image in self._touched if "depth" in self.frame(image)]
+        usual_ms = sum(self.frame(self._touched[0]).values()) if self._touched else math.inf
+        self._count = min(len(self._touched), max(1, int(SLICE_MS / usual_ms)))
 
     def round(self) -> None:
         """Time the next frames."""
-        if self._count > 1:
-            self._step(self.contact[self._next])  # warms the caches
-        found = np.empty((self._count, 1 + len(STAGES)))
-        for k in range(self._count):
-            found[k] = self._step(self.contact[self._next])
-            self._next = (self._next + 1) % len(self.contact)
-        quiet = np.empty(IDLE_FRAMES if self.idle else 0)
-        for k in range(len(quiet)):
-            quiet[k] = self._step(self.idle[self._next_idle])[0]
-            self._next_idle = (self._next_idle + 1) % len(self.idle)
-        self.taken.append(found)
-        self.waiting.append(quiet)
+        for images, taken, count in (
+            (self._touched, self.contact, self._count),
+            (self._untouched, self.idle, IDLE_FRAMES if self._untouched else 0),
+        ):
+            first = len(taken)
+            if count > 1:
+                self.frame(images[first % len(images)])  # warms the caches
+            taken += [self.frame(images[(first + k) % len(images)]) for k in range(count)]
 
-    def _step(self, image: U8) -> F64:
-        self._t_ns += FRAME_NS
-        stages = stages_ms(self.made, Frame(0, self._t_ns, 0, image), work_ns)
-        without = sum(ms for name, ms in stages.items() if name not in ("shear", "sigma"))  # not requested
-        return np.array([without, *(stages.get(name, np.nan) for name in STAGES)])
+    def frame(self, image: U8) -> dict[str, float]:
+        """Time the stages of a frame's step, then the encoding of each output."""
+        self._t_ns += FRAME_NS  # as in a stream, so that work not done on every frame costs as much
+        taken: dict[str, float] = {}
+        last = work_ns()
+
+        def mark(part: str) -> None:
+            nonlocal last
+            now = work_ns()
+            taken[part] = (now - last) / 1e6
+            last = now
+
+        result = self._made.step(Frame(0, self._t_ns, 0, image), mark, self.need)
+        for name in self._outputs if result is not None and result.contact else ():
+            assert result is not None
+            OUTPUTS[name].encode(result)
+            mark(_encoding(name))
+        return taken
 
 
-DRAWS = 1000
-LEAST = 3
-"""Fewest presses (rounds) for which an interval is drawn."""
-_LOW, _HIGH = 2.5, 97.5
+def _encoding(output: str) -> str:
+    return f"encode {output}"
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure and its 95 % bootstrap interval; NaN if unknown."""
+    """A mean over scenes and its 95 % bootstrap interval; NaN if unknown."""
 
     value: float
     low: float
@@ -308,158 +306,139 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """The figures of a setting; a missed contact counts as undeformed skin (`evaluate.report.Figures`)."""
+class Times:
+    """Processor time of a frame in contact, NaN if none was found, and the median of frames without contact."""
 
+    p50_ms: float
+    p99_ms: float
+    mean_ms: float
+    idle_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What some outputs together cost with a setting, and how wrong each of them is."""
+
+    outputs: tuple[str, ...]
     setting: Setting
-    presses: int
+    width_px: int  # of an image
+    height_px: int
+    errors: Mapping[str, Estimate]  # a missed contact counts as undeformed skin
+    scenes: int
     missed: int
     untouched: int  # frames without contact
     phantoms: int  # those in which a contact was found
-    me_mm: Estimate  # a mean over presses, with its interval from resampled presses, as the next three
-    sd_pct: Estimate
-    iou: Estimate
-    depth_off_pct: Estimate
-    p50_ms: Estimate  # processor time in contact: the median over rounds of a round's median, from resampled rounds
-    p99_ms: Estimate
-    fps: float  # frames in contact that one thread processes per second
-    timed: int
-    idle_p50_ms: float  # frames without contact
-    stages_ms: tuple[tuple[str, float, float], ...]  # stage, p50, p99
-    peak_mib: float  # memory that the setting adds to the bare process
-    front: bool  # no other setting is clearly better in ME or p50 and not clearly worse in the other
+    times: Times
+    peak_mib: float
+    front: bool = False  # none with the same outputs is both faster and more accurate
+
+    @property
+    def image(self) -> str:
+        """The image's size, for people."""
+        return f"{self.width_px}x{self.height_px}"
+
+    def fps(self, fingers: int, cores: int) -> float:
+        """Frames in contact per second that each finger can have, at most a core each, in `HELD` of the processor."""
+        return HELD * 1000 / self.times.mean_ms * min(1.0, cores / fingers)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Drawn:
-    """A figure of each setting, and the same from `DRAWS` resampled sets (draws, settings)."""
-
-    value: F64
-    draws: F64
-
-    def estimate(self, k: int) -> Estimate:
-        low, high = np.percentile(self.draws[:, k], (_LOW, _HIGH))
-        return Estimate(float(self.value[k]), float(low), float(high))
-
-    def clearly_less(self) -> Bool:
-        """Whether each setting is less than each other on the same draws, in 97.5 % of them: (settings, settings)."""
-        less: Bool = np.percentile(self.draws[:, :, None] - self.draws[:, None, :], _HIGH, axis=0) < 0
-        return less
+def relative_errors(rows: Sequence[Row]) -> F64:
+    """The errors of rows of the same outputs in units of the least of them, averaged over outputs; NaN if unknown."""
+    errors = np.array([[each.value for each in row.errors.values()] for row in rows])
+    known = errors[:, np.isfinite(errors).any(axis=0)] if len(rows) else errors
+    if not known.size:
+        return np.full(len(rows), np.nan)
+    relative: F64 = (known / np.maximum(np.nanmin(known, axis=0), 1e-9)).mean(axis=1)
+    return relative
 
 
-def points(
-    settings: Sequence[Setting], rows: Sequence[Sequence[Row]], times: Sequence[Times], peak_mib: Sequence[float]
-) -> tuple[Point, ...]:
-    """Summarise each setting's rows (on the same images in the same order), times (in the same rounds) and memory."""
-    pressed = [[r for r in some if r.true_points] for some in rows]
-    untouched = [[r for r in some if not r.true_points] for some in rows]
-    measures = {
-        "me_mm": _by_press([[r.true_depth_mm if math.isnan(r.me_mm) else r.me_mm for r in some] for some in pressed]),
-        "sd_pct": _by_press([[r.sd_pct for r in some] for some in pressed]),
-        "iou": _by_press([[r.iou for r in some if not math.isnan(r.iou)] for some in pressed]),
-        "depth_off_pct": _by_press([[abs(r.depth_error_pct) for r in some] for some in pressed]),
-        "p50_ms": _by_round(times),
-    }
-    front = on_front(measures["me_mm"], measures["p50_ms"])
-    made = []
-    for k, setting in enumerate(settings):
-        contact = np.concatenate(times[k].contact)
-        idle = np.concatenate(times[k].idle)
-        made.append(
-            Point(
-                setting=setting,
-                presses=len(pressed[k]),
-                missed=sum(math.isnan(r.me_mm) for r in pressed[k]),
-                untouched=len(untouched[k]),
-                phantoms=sum(r.contact for r in untouched[k]),
-                **{name: drawn.estimate(k) for name, drawn in measures.items()},
-                p99_ms=_p99(times[k]),
-                fps=1000 / float(contact[:, 0].mean()) if len(contact) else math.nan,
-                timed=len(contact),
-                idle_p50_ms=float(np.median(idle)) if len(idle) else math.nan,
-                stages_ms=_stages(contact),
-                peak_mib=peak_mib[k],
-                front=bool(front[k]),
-            )
-        )
-    return tuple(made)
+def measure(
+    settings: Sequence[Setting],
+    asked: Sequence[tuple[str, ...]],
+    calibration: Calibration,
+    judged: Sequence[Judged],
+    report: Report,
+) -> tuple[list[Row], float]:
+    """Weigh and time the settings on the first sensor's images, whose calibration it is: a row for each setting that
+    has all the outputs asked for together.
 
-
-def on_front(error: _Drawn, time: _Drawn) -> Bool:
-    """Whether no other setting is clearly better in one of the two and not clearly worse in the other, for each."""
-    nearer, faster = error.clearly_less(), time.clearly_less()
-    beats = (nearer & ~faster.T) | (faster & ~nearer.T)
-    front: Bool = ~beats.any(axis=0) & np.isfinite(error.value) & np.isfinite(time.value)
-    return front
-
-
-def _by_press(values: Sequence[Sequence[float]]) -> _Drawn:
-    """Means over presses; every setting sees the same draws."""
-    array = np.array(values).T
-    count, settings = array.shape if array.ndim == 2 else (0, len(values))
-    if not count:
-        return _Drawn(np.full(settings, np.nan), np.full((DRAWS, settings), np.nan))
-    if count < LEAST:
-        return _Drawn(array.mean(axis=0), np.full((DRAWS, settings), np.nan))
-    drawn = np.random.default_rng(0).integers(count, size=(DRAWS, count))
-    return _Drawn(array.mean(axis=0), array[drawn].mean(axis=1))
-
-
-def _by_round(times: Sequence[Times]) -> _Drawn:
-    """Medians over rounds of the rounds' medians; every setting sees the same draws."""
-    rounds = len(times[0].contact)
-    medians = np.array([[np.median(some[:, 0]) if len(some) else np.nan for some in each.contact] for each in times]).T
-    drawn = np.random.default_rng(0).integers(rounds, size=(DRAWS, rounds))
-    draws = np.median(medians[drawn], axis=1) if rounds >= LEAST else np.full((DRAWS, len(times)), np.nan)
-    return _Drawn(np.median(medians, axis=0), draws)
-
-
-def _p99(times: Times) -> Estimate:
-    """The p99 of all frames; each draw weights a round by how often it was drawn."""
-    rounds = [some[:, 0] for some in times.contact]
-    pooled = np.concatenate(rounds)
-    if not len(pooled):
-        return Estimate(math.nan, math.nan, math.nan)
-    value = float(np.percentile(pooled, 99, method="inverted_cdf"))
-    if len(rounds) < LEAST:
-        return Estimate(value, math.nan, math.nan)
-    order = np.argsort(pooled)
-    of_round = np.repeat(np.arange(len(rounds)), [len(some) for some in rounds])[order]
-    drawn = np.random.default_rng(0).integers(len(rounds), size=(DRAWS, len(rounds)))
-    counts = (drawn[:, :, None] == np.arange(len(rounds))).sum(axis=1)
-    up_to = np.cumsum(counts[:, of_round], axis=1)
-    draws = pooled[order][(up_to >= 0.99 * up_to[:, -1:]).argmax(axis=1)]
-    low, high = np.percentile(draws, (_LOW, _HIGH))
-    return Estimate(value, float(low), float(high))
-
-
-def _stages(contact: F64) -> tuple[tuple[str, float, float], ...]:
-    found = []
-    for k, name in enumerate(STAGES, start=1):
-        some = contact[:, k][np.isfinite(contact[:, k])]
-        if len(some):
-            found.append((name, float(np.median(some)), float(np.percentile(some, 99))))
-    return tuple(found)
-
-
-WEIGHED_IMAGES = 3
-
-
-def weigh_and_time(
-    settings: Sequence[Setting], sensors: Sequence[SensorCases], rows: Sequence[Sequence[Sequence[Row]]], report: Report
-) -> tuple[tuple[Point, ...], float]:
-    """Add memory and time on the first sensor's images, on this machine, to each setting's scores (`score_settings`).
-
-    Also returns how busy the machine was (`time_settings`). Raises DeviceError (a worker was killed).
+    Also returns elapsed time over this thread's processor time, 1 if nothing else ran. Raises DeviceError (a worker
+    was killed).
     """
-    first = sensors[0]
-    images = [case.image for case in first.cases if case.touched][:WEIGHED_IMAGES]
-    peaks = peak_memory(settings, first.calibration, images, report)
-    contact = [
-        [case.image for case, row in zip(first.cases, some[0], strict=True) if row.contact and case.touched]
-        for some in rows
+    touched, untouched = ([each for each in judged if each.touched is touched] for touched in (True, False))
+    first = [each for each in judged if each.sensor == judged[0].sensor]  # those of the calibration
+    images = [each.image for each in first if each.touched][:WEIGHED_IMAGES]
+    peaks = weigh(settings, calibration, images, report)
+    estimates = _estimates(np.array([each.errors for each in touched]))
+    with one_thread():
+        timed = [
+            [
+                Timed(setting, need, calibration, first)
+                for need in (Need.SIGMA | Need.SHEAR, Need.ALL)
+                if need is not Need.ALL or "touch" in setting.outputs(calibration)
+            ]
+            for setting in settings
+        ]
+        flat = [one for some in timed for one in some]
+        rng, start, worked = np.random.default_rng(0), time.perf_counter(), time.thread_time()
+        for done in range(ROUNDS):  # so that a busy moment affects all settings
+            report("rounds of timing", done, ROUNDS)
+            for k in rng.permutation(len(flat)):
+                flat[k].round()
+        busy = (time.perf_counter() - start) / (time.thread_time() - worked)
+        report("rounds of timing", ROUNDS, ROUNDS)
+    rows: list[Row] = []
+    for outputs in asked:
+        some = [
+            Row(
+                outputs,
+                setting,
+                calibration.image_width_px >> setting.half,
+                calibration.image_height_px >> setting.half,
+                {name: estimates[k][list(OUTPUTS).index(name)] for name in outputs},
+                scenes=len(touched),
+                missed=sum(not each.contact[k] for each in touched),
+                untouched=len(untouched),
+                phantoms=sum(bool(each.contact[k]) for each in untouched),
+                times=_times(timed[k], outputs),
+                peak_mib=peaks[k],
+            )
+            for k, setting in enumerate(settings)
+            if {*outputs} <= {*setting.outputs(calibration)}
+        ]
+        places = list(zip(relative_errors(some), (row.times.p50_ms for row in some), strict=True))
+        for row, (error, p50_ms) in zip(some, places, strict=True):
+            beaten = any(less < error and ms <= p50_ms for less, ms in places)
+            rows.append(replace(row, front=math.isfinite(error + p50_ms) and not beaten))
+    return rows, busy
+
+
+def _estimates(errors: F64) -> list[list[Estimate]]:
+    """Means over scenes of errors (scenes, settings, outputs); every setting and output sees the same draws."""
+    count = len(errors)
+    drawn = np.random.default_rng(0).integers(max(count, 1), size=(DRAWS, count))
+    values = _mean(errors[None])[0]
+    draws = _mean(errors[drawn]) if count >= LEAST else np.full((1, *values.shape), np.nan)
+    ends = np.percentile(draws, (2.5, 97.5), axis=0)
+    return [
+        [Estimate(*map(float, each)) for each in zip(*some, strict=True)] for some in zip(values, *ends, strict=True)
     ]
-    idle = [case.image for case in first.cases if not case.touched]
-    times, busy = time_settings(settings, first.calibration, contact, idle, report)
-    found = points(settings, [[row for of_sensor in some for row in of_sensor] for some in rows], times, peaks)
-    return found, busy
+
+
+def _mean(errors: F64) -> F64:
+    """Means over the second axis of what is known."""
+    with np.errstate(invalid="ignore"):
+        means: F64 = np.nansum(errors, axis=1) / np.isfinite(errors).sum(axis=1)
+    return means
+
+
+def _times(timed: Sequence[Timed], outputs: Sequence[str]) -> Times:
+    """The times with these outputs only."""
+    need = functools.reduce(operator.or_, (OUTPUTS[name].need for name in outputs))
+    one = timed[-1 if Need.TOUCH in need else 0]
+    unasked = {part for part, flag in (("shear", Need.SHEAR), ("sigma", Need.SIGMA)) if flag not in need}
+    unasked |= {_encoding(name) for name in OUTPUTS if name not in outputs}
+    taken = [sum(ms for part, ms in frame.items() if part not in unasked) for frame in one.contact] or [math.nan]
+    idle = [sum(frame.values()) for frame in one.idle] or [math.nan]
+    p50, p99 = np.percentile(taken, (50, 99))
+    return Times(float(p50), float(p99), float(np.mean(taken)), float(np.median(idle)))

@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -53,29 +52,22 @@ def of_own(folder: Path, *more: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("half")
-def test_the_files_the_table_and_the_same_bytes_again_without_a_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_files_the_table_and_the_same_bytes_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = tmp_path / "out", tmp_path / "again"
     words = [*SMALL, "--sensors", "half:default", "--out"]
     assert main([*words, str(first)]) == 0
     printed = capsys.readouterr()
     assert only_progress(printed.err)
     assert "Table I (real sensor)" in printed.out
-    assert sorted(p.name for p in first.iterdir()) == [*WRITTEN, "figure6.png"]
+    assert sorted(p.name for p in first.iterdir()) == WRITTEN
     rows = table(first / "evaluation.csv")
     assert list(rows[0]) == [field.name for field in fields(Row)]
     assert [row["object"] for row in rows] == ["ball"] * 9 + ["none"] * 20
     summary = json.loads((first / "evaluation.json").read_text())
     assert summary["settings"]["sensors"][0]["model"]["image_width_px"] == 320
-    assert summary["profiles"]["fast"]["timing"]["p50_ms"] > 0
-    assert cv2.imread(str(first / "figure6.png")).std() > 20
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main([*words, str(second), "--json"]) == 0
     printed = capsys.readouterr()
-    assert printed.err.startswith("tacshade-edge: figure6.png will be missing without matplotlib: pip install")
     assert json.loads(printed.out) == json.loads((second / "evaluation.json").read_text())
-    assert sorted(p.name for p in second.iterdir()) == WRITTEN
     assert (first / "evaluation.csv").read_bytes() == (second / "evaluation.csv").read_bytes()
 
 
@@ -100,7 +92,7 @@ def test_invalid_images_are_refused_one_by_one_and_exit_1(own: Path, capsys: pyt
     first, second = without_progress(printed.err)
     assert first.startswith("tacshade-edge: a.png: invalid: ")
     assert second.startswith("tacshade-edge: b.png: invalid: ")
-    *_, refused, _, _ = re.split(r"\s*\|\s*", printed.out.splitlines()[-1])
+    *_, refused, _ = re.split(r"\s*\|\s*", printed.out.splitlines()[-1])
     assert refused == "2"
 
 
