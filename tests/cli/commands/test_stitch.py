@@ -13,13 +13,7 @@ from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate, stitch
-<<<<<<< HEAD
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.press import Press
-=======
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.rigid import Rigid, from_seven, shift, turn
->>>>>>> ac555ebd (evaluate, stitch, simulator: Fewer figures and one table of bounds)
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.bumpy_surface import APEX_MM
 from tools.testbed.flange_plan import exact_frames
@@ -199,29 +193,3 @@ def test_without_motion_the_delay_is_null(tmp_path: Path, capsys: pytest.Capture
     about = json.loads(capsys.readouterr().out)
     assert about == json.loads((tmp_path / "flange.json").read_text())
     assert about["delay_ms"] is None
-
-
-@pytest.mark.slow
-<<<<<<< HEAD
-@pytest.mark.parametrize(("presses", "turns", "code"), [(50, TURNS_DEG, 0), (12, ONE, 78)])
-def test_a_recording_in_which_the_robot_moves_in_contact(tmp_path: Path, presses: int, turns: Turns, code: int) -> None:
-    """Its clock is behind that of the frames."""
-
-    def picture(pressed: tuple[Press, ...], seed: int) -> U8:
-        return simulated().frame(pressed, seed).image
-
-    moving.write_recording(tmp_path / "recording", picture, calibrated(), presses, turns, (0.1, 0.1))
-    command = ["stitch", "--find-flange", "--calibration", str(tmp_path / "recording" / "cal.npz"), "--profile", "fast"]
-    assert main([*command, "--recording", str(tmp_path / "recording"), "--out", str(tmp_path / "out")]) == code
-    assert (tmp_path / "out").exists() == (code == 0)
-    if code == 0:
-        about = json.loads((tmp_path / "out" / "flange.json").read_text())
-        assert about["presses"] == presses
-        assert about["delay_ms"] == pytest.approx(1000 * moving.DELAY_S, abs=5)
-        # The fast profile, half the pixels, and half of the plan, from 10 mm off.
-        assert np.linalg.norm(np.subtract(about["flange_T_sensor"][:3], moving.TRUE.translation_mm)) < 2.0
-=======
-def test_a_start_that_is_far_off_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected at most 15 mm and 15 degrees"):
-        report_flange(tmp_path, start=shift(30, 0, 0) @ TRUE, moves=False)
->>>>>>> ac555ebd (evaluate, stitch, simulator: Fewer figures and one table of bounds)
