@@ -40,9 +40,7 @@ def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, capsys: pytest.
     assert said.endswith(("File name too long\n", "found nothing, expected a recording\n"))
 
 
-@pytest.mark.parametrize(
-    "words", ["reconstruct --plot --out OUT IN", "evaluate --images IN --out OUT", "export --to csv IN --out OUT.csv"]
-)
+@pytest.mark.parametrize("words", ["reconstruct --plot --out OUT IN", "evaluate --images IN --out OUT"])
 def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     (tmp_path / "in").mkdir()
@@ -143,17 +141,6 @@ def python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", [0, 78])
-def test_a_thread_inside_a_library_does_not_change_the_exit_code(code: int) -> None:
-    """Taken down under it, the interpreter ended in SIGABRT, "terminate called without an active exception"."""
-    done = python(
-        f"{IN_A_LIBRARY}\nimport threading\nfrom tacshade_edge.cli.entry import leave\n"
-        f"threading.Thread(target=blur, daemon=True).start()\nprint('said', end='')\nleave({code})"
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (code, "said", "")
-
-
-@pytest.mark.slow
 def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     cv2.imwrite(str(tmp_path / "0.png"), FREE)
@@ -190,12 +177,7 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
 @pytest.mark.parametrize(
     ("limit", "value", "found"),
     [
-        (
-            "RLIMIT_AS",
-            1023 << 20,
-            "found 1023 MiB of address space",
-        ),  # at 500, OpenCV's loading was a segmentation fault
-        ("RLIMIT_NOFILE", 12, "found at most 12 open files"),
+        ("RLIMIT_AS", 1023 << 20, "found 1023 MiB of address space"),  # at 500, OpenCV crashes while it is loaded
         ("RLIMIT_NOFILE", 127, "found at most 127 open files"),
     ],
 )

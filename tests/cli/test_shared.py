@@ -17,7 +17,7 @@ import pytest
 
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.logs import AT_ONCE, PERIOD_S, Limit, OneLineHandler
-from tacshade_edge.cli.shared.progress import Progress, duration
+from tacshade_edge.cli.shared.progress import Progress
 
 Written = tuple[logging.Logger, OneLineHandler, io.StringIO]
 
@@ -169,13 +169,6 @@ def test_a_message_stands_on_a_line_of_its_own() -> None:
         progress.end()
         assert stream.getvalue().endswith(said)
         assert "\n\n" not in stream.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0, "0 s"), (89, "89 s"), (90, "2 min"), (3599, "1 h 0 min"), (7500, "2 h 5 min")]
-)
-def test_durations(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
 
 
 def test_without_matplotlib_the_plots_are_missing_and_a_line_says_so(

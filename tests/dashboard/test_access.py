@@ -130,7 +130,6 @@ def test_a_page_that_may_only_look_asks_for_nothing(tmp_path: Path) -> None:
     ):
         assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
         token = address.partition("#")[2]
-        assert (tmp_path / "token").read_text() == f"{token}\n"
         viewer = client_through(address.partition("login#")[0])
         viewer.ws_set_options(path="/mqtt", headers=lambda defaults: {**without_origin(defaults), **bearer(token)})
         received: list[bytes] = []
@@ -145,8 +144,6 @@ def test_a_page_that_may_only_look_asks_for_nothing(tmp_path: Path) -> None:
         viewer.publish("tacshade/a/req/reference", b"{}", qos=1)
         wait_until(lambda: bool(ended), 10, "closed")
         viewer.loop_stop()
-        seen.publish("tacshade/a/state", b"last")
-        wait_until(lambda: b"last" in seen.of("tacshade/a/state"), 10, "the last message")
         assert {message.topic for message in seen.messages} == {"tacshade/a/state"}
 
 

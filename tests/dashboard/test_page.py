@@ -174,26 +174,6 @@ def test_several_hands(page: Chrome, tmp_path: Path) -> None:
         assert js(page, "tacshade.sensor") == "index"  # the page does not jump away from what one looks at
 
 
-def test_the_skin_is_drawn_in_space(page: Chrome, address: str, sensor: PublishedSensor) -> None:
-    """Pixels of the 3-D view: something is there, it follows the press, and the boxes switch its parts."""
-
-    def pixels() -> str:
-        return str(page.find_element(By.ID, "view").screenshot_as_base64)
-
-    opened(page, address)
-    assert js(page, "tacshade.webgl")
-    wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
-    empty = pixels()
-    until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300), 1)
-    wait_until(lambda: pixels() != empty, 10, "the skin")
-    pressed = pixels()
-    page.find_element(By.ID, "show-cloud").click()
-    wait_until(lambda: pixels() != pressed, 10, "without the objects")
-    page.find_element(By.ID, "show-skin").click()
-    page.find_element(By.ID, "show-cloud").click()
-    wait_until(lambda: pixels() not in (empty, pressed), 10, "the objects alone")
-
-
 def boxes(page: Chrome, selector: str) -> list[list[float]]:
     """Left, top, right and bottom of each on the screen."""
     found: list[list[float]] = js(

@@ -12,7 +12,7 @@ from support.growing_map import PAD, scan
 from support.published_sensor import PublishedSensor
 from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol import messages
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import wait_until
 
@@ -121,24 +121,3 @@ def test_a_stitching_session_is_commanded_through_requests(
     shows(page, "answer", "Deleted session pad-1.")
     status("idle", "", 0)
     wait_until(lambda: page.find_element(By.NAME, "begin").is_displayed(), 15, "another can begin")
-
-
-def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(
-    page: Chrome, address: str, sensor: PublishedSensor
-) -> None:
-    opened(page, address)
-    wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
-    growing = mapping(sensor, "<b>good</b>")
-    growing.press((20.0, 20.0))
-    until_mapped(page, "<b>good</b>", 1)
-    assert text(page, "stitched-name") == "<b>good</b>, growing"
-    told = {"points": 5, "x0_mm": 0, "y0_mm": 0, "width_mm": None, "length_mm": 9, "spacing_mm": 0.25, "revision": 11}
-    cloud = wire.encode_map_cloud(np.zeros((5, 3), np.float32), revision=11, calibration_crc32=1, t_ns=1, wall_ns=2)
-    sensor.publish("map/cloud", cloud)
-    hostile = (("map/revision", json.dumps(told).encode()), ("map/final", b"[]"), ("map/cloud", cloud[:-1]))
-    for count, (topic, payload) in enumerate(hostile, 1):
-        sensor.publish(topic, payload)
-        wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
-    assert js(page, "tacshade.stitched.name") == "<b>good</b>"
-    growing.press((30.0, 20.0))
-    until_mapped(page, "<b>good</b>", 2)

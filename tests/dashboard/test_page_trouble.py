@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from support.browser import browser, errors, errors_of_the_page
+from support.browser import browser, errors
 from support.dashboard_process import dashboard
 from support.published_sensor import PublishedSensor, bump
 from support.shown_page import (
@@ -26,7 +26,7 @@ from support.shown_page import (
 )
 
 from tacshade_edge.protocol import wire
-from tools.testbed.mqtt_rig import Broker, Subscriber, certificate, free_port
+from tools.testbed.mqtt_rig import Broker, Subscriber, certificate
 from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
@@ -49,19 +49,6 @@ def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibra
             wait_until(lambda: text(page, "stale") == "", 10, "no longer stale")
         shows(page, "state", "stopped")
         assert not page.find_element(By.ID, "rezero").is_enabled()
-
-
-def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Path) -> None:
-    with Broker(tmp_path) as broker, PublishedSensor(broker.port):
-        words = f"127.0.0.1:{broker.port}", "--http", str(free_port())
-        with dashboard(*words) as address:
-            opened(chromium, address)
-        shows(chromium, "link", "the dashboard's server does not answer")
-        with dashboard(*words):
-            shows(chromium, "link", "Connected")
-            shows(chromium, "state", "online")
-            assert errors_of_the_page(chromium) == []
-            chromium.get("about:blank")
 
 
 def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, address: str, sensor: PublishedSensor) -> None:

@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 ROOT = Path(__file__).parents[2]
@@ -46,14 +45,3 @@ def test_only_a_versions_tag_publishes_and_each_job_has_its_right_alone() -> Non
     download, publish = JOBS["pypi"]["steps"]
     assert download["with"]["name"] == "distributions", "built without the right to publish"
     assert publish["with"] == {"attestations": True}
-
-
-@pytest.mark.parametrize("job", JOBS)
-def test_its_commands_are_there_and_every_action_names_a_version(job: str) -> None:
-    text = "\n".join(step.get("run", "") for step in JOBS[job]["steps"])
-    for target in re.findall(r"\bmake (\w+)", text):
-        assert re.search(rf"^{target}:", MAKEFILE, re.MULTILINE), target
-    for module in re.findall(r"-m (tools[\w.]+)", text):
-        assert (ROOT / f"{module.replace('.', '/')}.py").is_file(), module
-    used = [step["uses"] for step in JOBS[job]["steps"] if "uses" in step]
-    assert [name for name in used if not re.search(r"@(v\d+|[0-9a-f]{40})$", name)] == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 import os
-import pty
 import shutil
 import socket
 import tempfile
@@ -26,7 +25,7 @@ from tacshade_edge.doctor.board import (
     judge_disk,
     synchronised,
 )
-from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
+from tacshade_edge.doctor.machine import may_use, permission_fix
 
 
 def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
@@ -38,15 +37,6 @@ def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
         assert [str(holder) for holder in machine.holders(name)] == ["process 20 (cheese --wide)"]
     assert machine.holders("/dev/other") != []
     assert machine.holders("/dev/absent") == []
-
-
-def test_this_process_is_no_holder_of_its_own() -> None:
-    first, second = pty.openpty()
-    try:
-        assert os.getpid() not in [holder.pid for holder in Machine().holders(os.ttyname(second))]
-    finally:
-        os.close(first)
-        os.close(second)
 
 
 @pytest.mark.parametrize(

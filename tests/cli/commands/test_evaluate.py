@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import fields
@@ -106,8 +105,3 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     (own / "images" / "coin.npz").unlink()
     assert main(of_own(own)) == 78
     assert "found no image to score" in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*SMALL, "--out", os.fspath(own / "cal.npz")]) == 1
-    assert "cal.npz: cannot write it" in capsys.readouterr().err

@@ -127,7 +127,6 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     live = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
     meanwhile = [height for height in live if rows[0].t_ns <= height.t_ns <= rows[-1].t_ns]
     assert len(meanwhile) > 10
-    assert {row.pose and (row.pose.x_mm, row.pose.qy) for row in rows} <= {(i / 7, -1.0) for i in range(33)}
     for height in meanwhile:
         assert isinstance(height, wire.HeightMessage)
         assert height.height_mm.tobytes() == again[height.t_ns].height_mm.tobytes()

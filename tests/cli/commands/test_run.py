@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
@@ -129,30 +128,6 @@ def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, sta
     assert broker.startswith(f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused")
     assert "; to fix it: " in camera
     assert "; to fix it: " in broker
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"source": f"{CAMERA}, device: /dev/null"}, "2: source.device: camera /dev/null: found another kind"),
-        ({"source": f"{CAMERA}, device: /dev/shm"}, "2: source.device: camera /dev/shm: found a directory"),
-        ({"source": "kind: files, path: large"}, "2: source.path: found 320x240 px"),
-        ({"calibration": "flipped.npz"}, "1: calibration: {folder}/flipped.npz: "),
-        ({"mqtt": ", prot: 1"}, "3: mqtt.prot: found an unknown key"),
-    ],
-)
-def test_settings_that_cannot_work_are_one_line_and_exit_78(
-    folder: Path, capsys: pytest.CaptureFixture[str], given: dict[str, str], said: str
-) -> None:
-    (folder / "large").mkdir()
-    cv2.imwrite(str(folder / "large" / "0.png"), cv2.resize(FREE, (320, 240)))
-    content = bytearray((folder / "c.npz").read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    (folder / "flipped.npz").write_bytes(content)
-    assert main(["run", "--config", str(settings(folder, 1883, **given))]) == 78  # type: ignore[arg-type]
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tacshade-edge: ")]
-    assert len(lines) == 1
-    assert lines[0].startswith(f"tacshade-edge: {folder}/settings.yaml:{said.format(folder=folder)}")
 
 
 def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(folder: Path, start: Start) -> None:
