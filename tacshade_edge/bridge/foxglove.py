@@ -171,10 +171,7 @@ class _Sensor:
 
 
 class FoxgloveBridge:
-    """Serves sensors to viewers, all that publish if `sensors` is empty; port 0 picks any free port.
-
-    `follow` receives the set of all topics needed now. Raises ConfigError if the bridge cannot listen on this address.
-    """
+    """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed. Raises ConfigError."""
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
         self._sensors, self._follow = sensors, follow

@@ -1,7 +1,4 @@
-"""A sensor's messages in Foxglove's schemas: lengths and positions in metres and Unix times, as viewers expect.
-
-Values that people only read as numbers stay in mm: a pixel of the height image is h in mm.
-"""
+"""A sensor's messages in Foxglove's schemas: positions in metres, Unix times; values that people read stay in mm."""
 
 from __future__ import annotations
 

@@ -79,10 +79,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return the process's exit code.
-
-    0: done; 1: failed; 2: wrong usage; 78: bad configuration, after which systemd must not restart the daemon.
-    """
+    """Run one command and return its exit code: 0 done, 1 failed, 2 wrong usage, 78 bad configuration."""
     words = list(sys.argv[1:] if argv is None else argv)
     chosen = next((w for w in words if not w.startswith("-")), None)
     parser, modules = command_line(lambda name: name == chosen)

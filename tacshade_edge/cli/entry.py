@@ -14,26 +14,22 @@ from typing import NoReturn
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
 
-# Libraries and the threads' stacks and heaps reserve it; most is never used. With less, OpenCV crashes with a
-# segmentation fault as it is loaded, or OpenBLAS ends the process later.
-ADDRESS_SPACE_BYTES_MIN = 1 << 30
-
-# The supervisor of a hand with 16 sensors and a robot opens about 100 files.
-OPEN_FILES_MIN = 128
+# With less address space, most of which is never used, OpenCV crashes as it is loaded, or OpenBLAS ends the process
+# later. The supervisor of a hand with 16 sensors and a robot opens about 100 files.
+LIMITS = (
+    (resource.RLIMIT_AS, 1 << 30, 20, "MiB of address space (ulimit -v, RLIMIT_AS)"),
+    (resource.RLIMIT_NOFILE, 128, 0, "open files (ulimit -n, RLIMIT_NOFILE)"),
+)
 
 
 def entry() -> NoReturn:
     """Run the command line and exit; ``tacshade_edge.__main__`` sets up the signals."""
-    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if 0 <= limit_bytes < ADDRESS_SPACE_BYTES_MIN:
-        found = f"found {limit_bytes >> 20} MiB of address space (ulimit -v, RLIMIT_AS)"
-        print(f"tacshade-edge: {found}, expected at least {ADDRESS_SPACE_BYTES_MIN >> 20} MiB", file=sys.stderr)
-        sys.exit(EXIT_CONFIG)
-    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= limit < OPEN_FILES_MIN:
-        found = f"found at most {limit} open files (ulimit -n, RLIMIT_NOFILE)"
-        print(f"tacshade-edge: {found}, expected at least {OPEN_FILES_MIN}", file=sys.stderr)
-        sys.exit(EXIT_CONFIG)
+    for limit, least, shift, what in LIMITS:
+        found, _ = resource.getrlimit(limit)
+        if 0 <= found < least:
+            text = f"found at most {found >> shift} {what}, expected at least {least >> shift}"
+            print(f"tacshade-edge: {text}", file=sys.stderr)
+            sys.exit(EXIT_CONFIG)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path may not be UTF-8
     sys.excepthook = _defect

@@ -1,5 +1,1 @@
-"""The dashboard: a small server for one static page, and the page itself in ``static/``.
-
-It is a separate process on which the daemon does not depend. The server handles files and bytes; the page interprets
-the messages.
-"""
+"""The dashboard: a small server, apart from the daemon, for one static page that interprets the messages."""

@@ -26,11 +26,9 @@ _COOKIE_S: Final = 30 * 24 * 3600
 def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
     """Return why a WebSocket request is rejected; empty when it may proceed.
 
-    Any web site open in the user's browser can try to connect to this server; the browser states the site's address as
-    `origin` (None: another program, which needs no such trick). It must match ours: the `host` that the browser
-    connected to, or one of `allowed_origins`, such as ``https://hand.example.org`` of a reverse proxy. A site can also
-    point its own name at our address (DNS rebinding), and then both agree: so a name must be one that nobody else can
-    own.
+    Any web site open in the user's browser can try to connect; the browser states the site's address as `origin` (None:
+    another program). It must be the `host` that the browser connected to, or one of `allowed_origins`, a proxy's. As a
+    site can point its own name at our address (DNS rebinding), a host's name must be one that nobody else can own.
     """
     if origin is None or origin.lower() in allowed_origins:
         return ""

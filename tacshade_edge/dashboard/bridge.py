@@ -44,10 +44,7 @@ class ReadOnly:
         self._rest = b""
 
     def passed(self, data: bytes) -> bytes:
-        """Return the packets that are complete now, unchanged.
-
-        Raises DecodeError if one of them would do more than read, or is not MQTT; the caller must send none of them.
-        """
+        """Return the packets that are complete. Raises DecodeError if one would do more than read; then send none."""
         data = self._rest + data
         end = 0
         while (found := _body(data, end)) is not None:
@@ -128,11 +125,7 @@ class Broker:
 
 
 class Bridge:
-    """A bridge from any number of pages to one broker; each page has its own TCP connection.
-
-    Both directions wait for the slower side, with at most about 100 KB in between: if a page does not keep up, the
-    broker drops messages by its own rules.
-    """
+    """A bridge from any number of pages to one broker; both directions wait for the slower side."""
 
     def __init__(self, broker: Broker, *, read_only: bool) -> None:
         self._broker = broker

@@ -1,7 +1,4 @@
-"""A page's commands on the recordings in one folder: list, download, delete, play.
-
-Names come from the page, so they are untrusted.
-"""
+"""A page's commands on the recordings in one folder; names come from the page, so they are untrusted."""
 
 from __future__ import annotations
 
@@ -56,10 +53,7 @@ change; `is_growing`.
 
 
 def listed(folder: Path) -> list[Listed]:
-    """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`.
-
-    Raises DeviceError if the folder cannot be read.
-    """
+    """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`. Raises DeviceError."""
     names = []
     for name in _names(folder):
         inside = [name] if _is_recording(folder / name) else [f"{name}/{inner}" for inner in _names(folder / name)]
@@ -68,10 +62,7 @@ def listed(folder: Path) -> list[Listed]:
 
 
 def find(folder: Path, name: object) -> Path:
-    """Return the path of the recording with this name.
-
-    Raises DeviceError if the name is invalid, or names no recording, one still being written, or a symbolic link.
-    """
+    """Return the path of a whole recording in the folder. Raises DeviceError for any other name and for links."""
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
         raise DeviceError(f"found the name {shown(str(name))}, expected the name of a listed recording")
@@ -111,10 +102,7 @@ def tar_bytes(path: Path) -> int:
 
 
 def tar(path: Path, write: Callable[[bytes], object]) -> None:
-    """Write the regular files of a recording as an uncompressed tar, in pieces, without its links.
-
-    Raises DeviceError if a file cannot be read or has shrunk.
-    """
+    """Write a recording's regular files as a tar, in pieces. Raises DeviceError if a file is unreadable."""
     sink = SimpleNamespace(write=write)
     # Closed only when whole: its end would make a part of it look complete.
     archive = tarfile.open(fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT)  # noqa: SIM115
@@ -189,10 +177,7 @@ def _count(value: object) -> int | None:
 
 
 class RecordingCommands:
-    """The commands of pages on one folder; at most one recording plays at a time, to `broker`.
-
-    Without a folder every command is rejected; read-only pages may list and download.
-    """
+    """The commands of pages on one folder, which may be missing; one recording plays at a time, to `broker`."""
 
     def __init__(self, folder: Path | None, broker: Broker, *, read_only: bool) -> None:
         self._folder = folder

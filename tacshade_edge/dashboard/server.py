@@ -275,10 +275,7 @@ class File:
 
 
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
-    """Load every file of the page by its URL path; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
-
-    The page is marked as one that may not send requests, or has a list of recordings.
-    """
+    """Load every file of the page by its URL path; the page is marked if it may send no requests or has recordings."""
     found = dict(_walk(resources.files(__package__) / "static", ""))
     index = found["/index.html"]
     learns = b" data-read-only" * read_only + b" data-recordings" * recordings

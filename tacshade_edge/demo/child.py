@@ -118,10 +118,7 @@ set_tcp_nodelay true
 
 
 def broker_command(folder: Path, port: int) -> list[str]:
-    """Write a broker's settings into `folder` and return the command that serves MQTT 5 on this loopback port.
-
-    Raises DeviceError if neither mosquitto nor the extra is installed.
-    """
+    """Write a broker's settings and return the command that serves MQTT 5 on this loopback port. Raises DeviceError."""
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
     text = (_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port)

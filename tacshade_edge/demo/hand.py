@@ -96,7 +96,6 @@ def script() -> HandScript:
 
 
 _STEPS: Final = round(script().times_s[-1] / STEP_S)
-_GRASPED: Final = round(script().times_s[2] / STEP_S) + 1  # steps until they hold it
 
 
 def write(folder: Path, port: int) -> Path:
@@ -115,25 +114,15 @@ def write(folder: Path, port: int) -> Path:
 
 
 def play(folder: Path) -> Generator[None, None, None]:
-    """Show every finger its current picture; call `next` once per step.
-
-    All fingers change their pictures together because they hold the same object. They grasp it as soon as the grasp is
-    drawn, and hold it while the rest of the round is drawn on all cores.
-    """
-    drawn, whole, shown = list[list[Path]](), list[list[Path]](), dict[str, Path]()
-    for name in FINGERS:
-        drawn.append(_draw((folder, name, _GRASPED)))
-        yield
-    for step in range(_GRASPED):
-        _show(folder, drawn, step, shown)
-        yield
+    """Draw the round on all cores, then show every finger its current picture; call `next` once per step."""
+    drawn = list[list[Path]]()
     with workers() as pool:
-        for pictures in pool.map(_draw, [(folder, name, _STEPS) for name in FINGERS]):
-            whole.append(pictures)
+        for pictures in pool.map(_draw, [(folder, name) for name in FINGERS]):
+            drawn.append(pictures)
             yield
-    begin_s = time.monotonic() - _GRASPED * STEP_S
+    begin_s, shown = time.monotonic(), dict[str, Path]()
     while True:
-        _show(folder, whole, int((time.monotonic() - begin_s) / STEP_S) % _STEPS, shown)
+        _show(folder, drawn, int((time.monotonic() - begin_s) / STEP_S) % _STEPS, shown)
         yield
 
 
@@ -147,19 +136,19 @@ def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[
             following.replace(folder / name / _SEEN)
 
 
-def _draw(task: tuple[Path, str, int]) -> list[Path]:
-    """Draw the first steps of what one finger sees and return a path per step; steps of the same skin share one."""
-    folder, name, steps = task[0] / task[1], *task[1:]
+def _draw(task: tuple[Path, str]) -> list[Path]:
+    """Draw what one finger sees and return a path per step; steps of the same skin share one."""
+    folder, name = task[0] / task[1], task[1]
     sensor = SimulatedSensor(_MODEL)
     fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]
     round_of = script()
-    placements = [round_of.at(k * STEP_S) for k in range(steps)]
+    placements = [round_of.at(k * STEP_S) for k in range(_STEPS)]
     by_skin, drawn = dict[int, Path](), list[Path]()
     felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.truth.press else 0
         if key not in by_skin:
-            by_skin[key] = folder / f"{steps}-{k:03d}.png"
+            by_skin[key] = folder / f"{k:03d}.png"
             picture = sensor.picture(felt.skin, noise_seed=k)
             cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
         drawn.append(by_skin[key])

@@ -44,10 +44,7 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[None, None, None]:
-    """Draw the presses into the demo's folder, start a daemon that reads them, and have it stitch.
-
-    Each `next` does a little more; it raises DeviceError if the broker is gone.
-    """
+    """Draw the presses, start a daemon that reads them, and have it stitch; each `next` does a little more."""
     yield from _presses(folder / "pad")
     settings = folder / f"{SENSOR_ID}.yaml"
     settings.write_text(_SETTINGS.format(sensor_id=SENSOR_ID, fps=FPS, port=port), encoding="utf-8")

@@ -107,10 +107,7 @@ class _Session:
 
 
 def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[Findings, DaemonState]:
-    """Connect as the daemon does, and receive its own messages the size of a height map.
-
-    They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
-    """
+    """Connect as the daemon does, and receive own messages the size of a height map; nothing is retained."""
     session = _Session(broker, f"tacshade/{sensor_id}")
     where, tls_ca = f"{broker['host']}:{broker['port']}", broker["tls_ca"]
     began_s = time.monotonic()

@@ -65,10 +65,7 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
 
 
 def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> Findings:
-    """Compare at least one image, (H, W) or (H, W, 3), with the calibration's reference.
-
-    `live` images are a camera's, so nothing should touch the skin; files and simulations show presses.
-    """
+    """Compare images with the calibration's reference; nothing should touch the skin in `live` ones, a camera's."""
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:

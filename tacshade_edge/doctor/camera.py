@@ -106,10 +106,7 @@ def _check_format(source: V4l2, node: str) -> Finding:
 
 
 def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> Findings:
-    """Judge what a camera delivered, or why it delivered nothing.
-
-    `daemon_state` is the state that the running daemon publishes; empty if none runs here.
-    """
+    """Judge what a camera delivered, or why nothing; `daemon_state` is what a daemon here publishes, or empty."""
     findings: list[Finding] = []
     if captured.error:
         if busy := _busy(source, captured.error, machine, daemon_state):

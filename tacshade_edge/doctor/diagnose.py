@@ -44,10 +44,7 @@ _UNTIL = "until then, doctor does not check {}"
 def diagnose(
     config: Path, machine: Machine, seen: Seen | None = None, sensor_id: str | None = None
 ) -> Iterator[Finding]:
-    """Run all checks that are possible; yield each finding as soon as it is known, and fill `seen` with the data.
-
-    The first finding is on the settings file; the checks that need no settings also run without them.
-    """
+    """Yield each finding as soon as it is known, the settings' first, and fill `seen` with the data."""
     finding, document, broker_usable = check_settings(config, sensor_id)
     yield finding
     seen = Seen() if seen is None else seen
@@ -118,10 +115,7 @@ def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
-    """Read the settings, those of one sensor if the file has several; None if they are unusable.
-
-    The last value is whether the broker's settings are usable, including its password and certificate files.
-    """
+    """Read the settings, None if unusable; the last value is whether those of the broker are usable."""
     try:
         document = load(config, sensor_id)
     except ConfigError as error:

@@ -1,8 +1,7 @@
 """Checks ports: can the streams of all cameras share a USB port, and is a robot's serial port free to use?
 
-A camera reserves its share of a bus when its stream begins. One that finds no room fails with "No space left on
-device", which does not name the other cameras; so this check adds up the shares beforehand. A serial port is looked at
-unopened: opening resets robots.
+A camera without room on its bus fails with "No space left on device", which names no other camera; so this adds up the
+shares. A serial port is looked at unopened: opening resets robots.
 """
 
 from __future__ import annotations
@@ -28,10 +27,7 @@ _MB: Final = 1e6
 
 
 def check_serial(machine: Machine, device: str | None = "") -> Findings:
-    """One finding per sound port and one per problem.
-
-    `device` is the robot's port in the settings, "" if there are no settings, None if the settings have no robot.
-    """
+    """One finding per sound port and problem; `device` is the robot's, None if there is none, "" if unknown."""
     listed = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
     found: list[Finding] = []
     for port in listed:

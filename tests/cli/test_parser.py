@@ -177,7 +177,11 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
 @pytest.mark.parametrize(
     ("limit", "value", "found"),
     [
-        ("RLIMIT_AS", 1023 << 20, "found 1023 MiB of address space"),  # at 500, OpenCV crashes while it is loaded
+        (
+            "RLIMIT_AS",
+            1023 << 20,
+            "found at most 1023 MiB of address space",
+        ),  # at 500, OpenCV crashes while it is loaded
         ("RLIMIT_NOFILE", 127, "found at most 127 open files"),
     ],
 )

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from tacshade_edge.cli.shared.dashboard_access import in_url, is_loopback
+from tacshade_edge.cli.commands.dashboard import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_option, address, need
 from tacshade_edge.devices.mqtt.client import BrokerAddress

@@ -1,8 +1,4 @@
-"""``tacshade-edge demo``: simulated sensors, the real daemon for each, a private broker and the dashboard.
-
-All listen on loopback, except the page with ``--listen``. With ``--hand``, the five fingers of a hand replace the two
-single sensors: one board cannot run all of them.
-"""
+"""``tacshade-edge demo``: simulated sensors or a hand, the real daemon, a private broker and the dashboard."""
 
 from __future__ import annotations
 
@@ -18,7 +14,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.cli.shared.dashboard_access import ANY, in_url, is_loopback, make_token
+from tacshade_edge.cli.commands.dashboard import ANY, in_url, is_loopback, make_token
 from tacshade_edge.cli.shared.options import PORT, add_option, need
 from tacshade_edge.demo import hand as demo_hand
 from tacshade_edge.demo import touchpad

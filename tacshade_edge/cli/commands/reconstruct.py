@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from tacshade_edge.cli.shared.options import add_option, add_profile
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.ledger import StageTimer
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         stems.add(path.stem)
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    records, unreadable, invalid, progress, tiles = [], 0, 0, Progress(), list[Tile]()
+    records, unreadable, invalid, progress, tiles, timer = [], 0, 0, Progress(), list[Tile](), StageTimer()
     on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}  # all, or evenly spread
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
@@ -67,7 +66,10 @@ def run(args: argparse.Namespace) -> int:
                 progress.warn(error)
                 unreadable += 1
                 continue
-            result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
+            timer.begin()
+            result = reconstructor.step(Frame(seq=index, t_ns=0, wall_ns=0, image=image), timer.mark)
+            timer.ms["total"] = sum(timer.ms.values())
+            elapsed_ms = {stage: round(ms, 4) for stage, ms in timer.ms.items()}
             _write(args.out / f"{path.stem}.npz", result)
             if args.plot:
                 write_picture(args.out / f"{path.stem}.png", panel(image, result, calibration.geometry))
@@ -90,22 +92,6 @@ def run(args: argparse.Namespace) -> int:
         found = f"{measured} of {len(images)} images reconstructed, {touched} in contact"
         print(f"{args.out}: {found}, {invalid} invalid, {unreadable} unreadable")
     return 1 if invalid or unreadable else 0
-
-
-def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
-    """Reconstruct a frame and return the result with the time of each stage and in total, in ms."""
-    elapsed_ms: dict[str, float] = {}
-    start = last = time.perf_counter_ns()
-
-    def mark(stage: str) -> None:
-        nonlocal last
-        now = time.perf_counter_ns()
-        elapsed_ms[stage] = round((now - last) / 1e6, 4)
-        last = now
-
-    result = reconstructor.step(frame, mark)
-    elapsed_ms["total"] = round((time.perf_counter_ns() - start) / 1e6, 4)
-    return result, elapsed_ms
 
 
 def _write(path: Path, result: Reconstruction) -> None:

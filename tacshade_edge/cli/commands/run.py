@@ -26,10 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up.
-
-    With several sensors in the file, each runs in a process of its own.
-    """
+    """Run until SIGTERM, SIGINT, or a finite source's end; SIGHUP reloads. Several sensors have a process each."""
     start_logging(args.log_level)
     documents = load_all(args.config)
     if not documents[0].several:

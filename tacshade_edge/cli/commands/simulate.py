@@ -216,10 +216,7 @@ class _Task:
 
 
 def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, varied: bool, seed: int) -> None:
-    """Press all over the touchpad of the paper's Fig. 7: write images, poses, references and the truth.
-
-    POSES.csv has the exact poses, POSES_NOISY.csv noisy ones, and PAD.npz the true surface. Raises OSError.
-    """
+    """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
     if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
         raise ConfigError(

@@ -1,7 +1,4 @@
-"""``tacshade-edge stitch``: combines images and the robot's poses, or a recording of both, into one large map.
-
-With ``--find-flange``, it finds the sensor's pose on the flange and the delay of its frames instead.
-"""
+"""``tacshade-edge stitch``: combines images and poses into one map, or finds the sensor's pose on the flange."""
 
 from __future__ import annotations
 

@@ -72,10 +72,7 @@ def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
 
 
 def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
-    """The user's calibration, an iterator over the images, and a list that grows with each bad image, also printed.
-
-    Raises ConfigError (no calibration, or no images) and DeviceError (the output folder cannot be made).
-    """
+    """The user's calibration, the images, and a list of bad ones that grows. Raises ConfigError and DeviceError."""
     if not args.images.is_dir():
         raise ConfigError(f"{args.images}: found no folder, expected one with images and their ground truth (.npz)")
     calibration, paths = calibrations.load(args.calibration), images_in([args.images])
@@ -99,10 +96,7 @@ def will_draw(args: argparse.Namespace, files: str) -> bool:
 
 
 def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None) -> None:
-    """Print the table or, with --json, the document (without NaN); with --out, write both and the rows as CSV.
-
-    `rows` maps what follows the stem in a CSV file's name to the file's text.
-    """
+    """Print the table or, with --json, the document; with --out, write both, and `rows` (end of name: CSV text)."""
     files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
     if document is not None:
         files[".json"] = json.dumps(document, indent=1) + "\n"
