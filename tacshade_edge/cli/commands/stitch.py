@@ -137,7 +137,7 @@ def report_flange(
         found = find_flange(frames, start, skin_radius_mm)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
-    if why := unseen(frames, start, found):
+    if why := unseen(found):
         raise ConfigError(f"{where}: {why} {_PLAN}")
     moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
     if moved_mm > START_MM or turned_deg > START_DEG:

@@ -44,8 +44,8 @@ class RestDetector:
         self._fired = True
 
     def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Take the next frame (an invalid one counts as without contact, which ends it), and return whether the contact
-        has just come to rest.
+        """Take the next frame (an invalid one counts as without contact, which ends it); whether the contact has just
+        come to rest.
         """
         if not contact:
             self._fired, self._since_ns = False, 0
@@ -63,7 +63,7 @@ class RestDetector:
 
 @frozen
 class PressPoints:
-    """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit normals there, and a
+    """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit normals, and a
     confidence above 0, up to 1.
     """
 
@@ -83,7 +83,9 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     cell_mm = height.step_px * geometry.mm_per_px
     divisor, stride = math.ceil(cell_mm / SPACING_MM), max(1, int(SPACING_MM / cell_mm))
     step_px = height.step_px * stride / divisor
-    h = _upsample(height.height_mm[box][::stride, ::stride], divisor)
+    h = np.ascontiguousarray(height.height_mm[box][::stride, ::stride])
+    if divisor > 1:  # bilinear between the cells' middles, constant beyond them
+        h = cv2.resize(h, None, fx=divisor, fy=divisor, interpolation=cv2.INTER_LINEAR)
     cells = height.contact[box][::stride, ::stride]
     contact = np.ascontiguousarray(cells.repeat(divisor, axis=0).repeat(divisor, axis=1))
     if min(h.shape) < 2:
@@ -104,23 +106,12 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
 
 
 def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
-    """Weight of each point's z in the base frame: its confidence, reduced by the slope to the inverse variance of the
-    height of a point that is `_LATERAL_RATIO` times as uncertain sideways.
+    """Weight of each point's z in the base frame: its confidence, reduced by the slope as a point is `_LATERAL_RATIO`
+    times as uncertain sideways.
     """
     cosine = np.abs(press.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - cosine**2) / np.maximum(cosine, 1e-3) ** 2
     return np.asarray(press.confidence / (1 + _LATERAL_RATIO**2 * np.maximum(slope2, 0)), np.float64)
-
-
-def _upsample(values: F32, factor: int) -> F32:
-    """Divide each cell into `factor` x `factor`, bilinear between the cells' middles, constant beyond them."""
-    for axis in (0, 1):
-        at = np.clip((np.arange(values.shape[axis] * factor) + 0.5) / factor - 0.5, 0, values.shape[axis] - 1)
-        low = np.minimum(at.astype(np.int64), max(values.shape[axis] - 2, 0))
-        fraction = (at - low).astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
-        high = np.minimum(low + 1, values.shape[axis] - 1)
-        values = values.take(low, axis=axis) * (1 - fraction) + values.take(high, axis=axis) * fraction
-    return np.ascontiguousarray(values, np.float32)
 
 
 def _normals(points: F32) -> F32:
@@ -145,9 +136,9 @@ class InterpolatedPose:
 
 
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
-    """The pose at `t_ns` in a uniform motion and rotation, the shorter way, from `a` to `b` (at another time),
-    extrapolated beyond. Two equal poses give that pose to the last bit: a robot at rest is at one place, whichever two
-    poses are used. Rotations by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+    """The pose at `t_ns` in a uniform motion and rotation by slerp (Shoemake 1985), the shorter way, from `a` to `b`
+    (at another time), extrapolated beyond. Two equal poses give that pose to the last bit: a robot at rest is at one
+    place.
     """
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
@@ -169,8 +160,8 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
 
 
 class PoseBuffer:
-    """The latest poses in order of time, all of one clock; for one thread at a time. `late` counts those dropped
-    because they were not later than the previous one.
+    """The latest poses in order of time, all of one clock, for one thread; `late` counts those dropped because they
+    were not later.
     """
 
     def __init__(self) -> None:
@@ -193,7 +184,7 @@ class PoseBuffer:
 
     def at(self, t_ns: int) -> InterpolatedPose | None:
         """The pose at a time between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the
-        newest; else None.
+        newest.
         """
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:

@@ -1,15 +1,12 @@
 """Refine poses on overlaps: two presses that touched the same place must agree on its height.
 
-Bundle adjustment (Triggs et al., "Bundle adjustment: a modern synthesis", 2000) of heights: Gauss-Newton solves for all
-poses at once. The unknown surface is eliminated (the Schur complement): in a cell of the base frame only the
-differences between its presses count. Iteratively reweighted least squares with Cauchy's weight reduces outliers
-(Holland and Welsch, "Robust regression using iteratively reweighted least-squares", 1977). Each press has a prior at
-the pose that the robot reported, with the robot's error as its standard deviation; these errors are independent, so
-their mean over many presses holds the map and keeps it from bending.
+Bundle adjustment of heights: Gauss-Newton solves for all poses at once; the unknown surface is eliminated (the Schur
+complement), and Cauchy's weight reduces outliers. Each press has a prior at the pose that the robot reported; the
+robot's errors are independent, so their mean over many presses holds the map and keeps it from bending.
 
-The reconstruction's errors move presses too: a depth that is a tenth too small everywhere in a contact looks like a
-pose that is too high. The part of these errors that poses can explain grows with the part that they cannot, so the
-differences left after refinement show the size of the former, whatever the robot's error is (`robots_part`).
+The reconstruction's errors move presses too: a depth that is a tenth too small looks like a pose that is too high. The
+part of these errors that poses can explain grows with the part that they cannot, so the differences left after
+refinement show the size of the former (`robots_part`).
 """
 
 from __future__ import annotations
@@ -17,19 +14,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
-from tacshade_edge.rigid import Rigid, turn
+from tacshade_edge.rigid import Rigid, turn, turned_rad
 from tacshade_edge.types import F64, I64
 
 _SLOPE_MAX = 2.0  # mm per mm; a steeper slope between two cells is a step
 CELL_MM = 0.7
 POINTS_MAX = 150  # per press, which has six unknowns
 ITERATIONS_MAX = 8
-SURFACE_SIGMA_MM = 0.1
-"""Standard deviation of a place's heights between presses with exact poses."""
+SURFACE_SIGMA_MM = 0.1  # standard deviation of a place's heights between presses with exact poses
 _CAUCHY_MM = 0.15  # a difference of this size counts half
 _CONVERGED_MM = 0.005  # ends when no press moves farther in an iteration
 _CG_ITERATIONS_MAX = 60
@@ -42,9 +37,8 @@ _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverlapCells:
-    """The cells of a set of points: the cell of each, from 0; the number of cells with a point; the slope (N, 2) along
-    x and y of the points' mean surface in each point's cell; z that each point gives to the middle of its cell, with
-    the slope removed.
+    """Points in cells: the cell of each, from 0; the number of cells with a point; the slope (N, 2) of the points' mean
+    surface in each point's cell; z that each point gives to the middle of its cell, with the slope removed.
     """
 
     of_point: I64
@@ -54,7 +48,7 @@ class OverlapCells:
 
     def means(self, values: F64, weight: F64) -> F64:
         """The weighted mean of the points' values in each cell, (count,)."""
-        return _means(values, weight, self.of_point, self.count)
+        return _means(values, weight, self.of_point)
 
 
 def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
@@ -65,7 +59,7 @@ def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
     width = int(column_row[:, 0].max()) + 3  # a free column between rows, so that neighbours need no checks
     key = (column_row[:, 1] + 1) * width + column_row[:, 0] + 1
     used, cell = np.unique(key, return_inverse=True)
-    z = _means(at[:, 2], weight, cell, len(used))
+    z = _means(at[:, 2], weight, cell)
     slope = np.stack([_slope(used, z, step, cell_mm) for step in (1, width)], axis=1)[cell]
     return OverlapCells(cell, len(used), slope, at[:, 2] - np.sum(slope * offset, axis=1))
 
@@ -83,8 +77,8 @@ def _slope(used: I64, z: F64, step: int, cell_mm: float) -> F64:
     return np.asarray(np.clip(mean, -_SLOPE_MAX, _SLOPE_MAX))
 
 
-def _means(values: F64, weight: F64, cell: I64, cells: int) -> F64:
-    return np.asarray(np.bincount(cell, weight * values, cells) / np.bincount(cell, weight, cells))
+def _means(values: F64, weight: F64, cell: I64) -> F64:
+    return np.asarray(np.bincount(cell, weight * values) / np.bincount(cell, weight))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +90,8 @@ class PoseError:
 
 
 def thin_points(press: PressPoints) -> F64:
-    """Reduce a press to one point for each small square (`CELL_MM`), at most `POINTS_MAX`: (N, 4), x, y, z of the means
-    in mm, and their weights up to 1.
+    """Reduce a press to the mean of each small square (`CELL_MM`), at most `POINTS_MAX`: (N, 4), x, y, z in mm, and
+    weights up to 1.
     """
     points = press.points_mm.astype(np.float64)
     cell = np.floor(points[:, :2] / CELL_MM).astype(np.int64)
@@ -111,9 +105,8 @@ def thin_points(press: PressPoints) -> F64:
 
 
 def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError) -> list[Rigid]:
-    """Find ``base_T_sensor`` at which the presses (`thin_points`, in the sensor frame) agree best, from those that the
-    robot reported; a press that overlaps no other keeps its own. Rotation errors turn about `centre_mm`, the undeformed
-    apex.
+    """Find ``base_T_sensor`` at which the presses (`thin_points`) agree best; a press that overlaps no other keeps the
+    reported one. Rotation errors turn about `centre_mm`, the undeformed apex.
     """
     if len(presses) < 2:
         return list(reported)
@@ -132,12 +125,11 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
 
 def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64) -> float:
     """Estimate the part (0 to below 1) of the refined poses' moves that corrects the robot's errors: the variance of
-    the moves in height, which overlaps measure best, less the typical share of the reconstruction's own errors, over
-    the whole (a component of variance, as Paule and Mandel estimate it); 0 if those errors may explain all of it.
+    the moves in height, less the typical share of the reconstruction's own errors, over the whole; 0 if those may
+    explain all of it.
     """
     press_of, points = _joined(presses)
-    at, _ = _placed(points, press_of, refined, centre_mm)
-    cells = overlap_cells(at, points[:, 3], CELL_MM)
+    cells = overlap_cells(_placed(points, press_of, refined, centre_mm)[0], points[:, 3], CELL_MM)
     cell, height = cells.of_point, cells.height_mm
     weight = points[:, 3] / (1 + LATERAL_RATIO**2 * np.sum(cells.slope**2, axis=1))
     shared = np.bincount(cell)[cell] > 1
@@ -146,25 +138,28 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
     own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point by this part
     squares = (height - cells.means(height, weight)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
-    moves = [(refined[k].apply(centre_mm) - reported[k].apply(centre_mm))[2] for k in np.unique(press_of[shared])]
+    moves = [change(reported[k], refined[k], centre_mm)[2] for k in np.unique(press_of[shared])]
     moved2 = float(np.mean(np.square(moves)))
     if moved2 <= _OWN_MOVES_MAX**2 * left2:
         return 0.0
     return 1 - _OWN_MOVES_TYPICAL**2 * left2 / moved2
 
 
+def change(reported: Rigid, refined: Rigid, centre_mm: F64) -> F64:
+    """The way from a reported to the refined pose, (6,): translation in mm at the apex, rotation vector in rad."""
+    translation_mm = refined.apply(centre_mm) - reported.apply(centre_mm)
+    return np.concatenate((translation_mm, turned_rad(refined.rotation @ reported.rotation.T)))
+
+
 def moved_by_part(reported: Rigid, refined: Rigid, part: float, centre_mm: F64) -> Rigid:
     """The pose at a part, 0 to 1, of the way from the reported to the refined one."""
-    translation_mm = refined.apply(centre_mm) - reported.apply(centre_mm)
-    rotation, _ = cv2.Rodrigues(refined.rotation @ reported.rotation.T)
-    return _corrected(reported, part * np.concatenate((translation_mm, rotation.ravel())), centre_mm)
+    return _corrected(reported, part * change(reported, refined, centre_mm), centre_mm)
 
 
 def correction(reported: Rigid, refined: Rigid, centre_mm: F64) -> tuple[float, float]:
-    """Change from a reported to the refined pose: translation in mm at the apex, rotation in degrees."""
-    translation_mm = float(np.linalg.norm(refined.apply(centre_mm) - reported.apply(centre_mm)))
-    cosine = (np.trace(reported.rotation.T @ refined.rotation) - 1) / 2
-    return translation_mm, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    """Size of the `change`: translation in mm, rotation in degrees."""
+    way = change(reported, refined, centre_mm)
+    return float(np.linalg.norm(way[:3])), float(np.degrees(np.linalg.norm(way[3:])))
 
 
 def _corrected(pose: Rigid, correction: F64, centre_mm: F64) -> Rigid:

@@ -14,6 +14,7 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints, height_weight
 from tacshade_edge.core.stitching.refinement import (
     PoseError,
+    change,
     correction,
     moved_by_part,
     refine_poses,
@@ -24,19 +25,16 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64, I64, frozen
 
-STEP_MM = 0.25
-"""About the size of the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls."""
+STEP_MM = 0.25  # about the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls
 TILE = 64
-PRESS_WIDTH_MAX_MM = 200.0
-"""Greatest width of a press of any sensor."""
-TILES_MAX = 1024
-"""Greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
+PRESS_WIDTH_MAX_MM = 200.0  # greatest width of a press of any sensor
+TILES_MAX = 1024  # greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB
 _POSITION_MAX_MM = 1e6
-EXTENT_MAX_TILES = 4096
-"""Greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB."""
+EXTENT_MAX_TILES = 4096  # greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB
 BAND_ROWS = 256
-MIN_WEIGHT = 0.07
-"""A cell of less weight lies outside the contact."""
+MIN_WEIGHT = 0.07  # A cell of less weight lies outside the contact
+_Tile = tuple[int, int]  # row and column
+_Box = tuple[slice, slice]
 
 
 @frozen
@@ -63,15 +61,6 @@ class Raster:
 
 
 @dataclass(frozen=True, slots=True)
-class _Overlap:
-    """The nodes that a window and a tile share: their rows and columns in the tile and in the window."""
-
-    tile: tuple[int, int]
-    in_tile: tuple[slice, slice]
-    in_window: tuple[slice, slice]
-
-
-@dataclass(frozen=True, slots=True)
 class _Window:
     """`rows` x `cols` nodes from (`row`, `col`) on."""
 
@@ -80,11 +69,11 @@ class _Window:
     rows: int
     cols: int
 
-    def overlaps(self) -> Iterator[_Overlap]:
-        """The overlap with each tile that the window touches."""
+    def overlaps(self) -> Iterator[tuple[_Tile, _Box, _Box]]:
+        """The tiles that the window touches, each with the nodes that both share, in the tile and in the window."""
         for tile_row, rows_in_tile, rows in _spans(self.row, self.rows):
             for tile_col, cols_in_tile, cols in _spans(self.col, self.cols):
-                yield _Overlap((tile_row, tile_col), (rows_in_tile, cols_in_tile), (rows, cols))
+                yield (tile_row, tile_col), (rows_in_tile, cols_in_tile), (rows, cols)
 
 
 def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
@@ -94,42 +83,16 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
         yield tile, slice(start - tile * TILE, end - tile * TILE), slice(start - first, end - first)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Heights:
-    """The z of a map's nodes, in a quarter of the map's memory: tiles (TILE, TILE) by their place, NaN at holes."""
-
-    tiles: dict[tuple[int, int], F32]
-    step_mm: float
-
-    def z_at(self, points_mm: F64) -> F32:
-        """The z at the nodes nearest to points (N, 3), mm; NaN at holes."""
-        if len(points_mm) == 0:
-            return np.zeros(0, np.float32)
-        j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
-        window = _window(i, j, self.step_mm)
-        z_mm = np.full((window.rows, window.cols), np.nan, np.float32)
-        for overlap in window.overlaps():
-            if overlap.tile in self.tiles:
-                z_mm[overlap.in_window] = self.tiles[overlap.tile][overlap.in_tile]
-        z: F32 = z_mm[i - window.row, j - window.col]
-        return z
-
-
 class SurfaceMap:
-    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes around it.
-
-    The map keeps running sums of weight and weight · z, as in Curless and Levoy, "A volumetric method for building
-    complex models from range images", SIGGRAPH 1996. Nodes without a point stay holes. `add` raises ValueError, and
-    adds nothing, if a point is not finite, points lie more than `PRESS_WIDTH_MAX_MM` apart, or the map would get more
-    than `TILES_MAX` tiles or spread over more than `EXTENT_MAX_TILES`; it does not bound points that were already in a
-    bounded map.
+    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes around it (Curless and
+    Levoy, SIGGRAPH 1996). Nodes without a point stay holes. A bounded map refuses by ValueError what would make it too
+    large.
     """
 
     def __init__(self, step_mm: float = STEP_MM, *, bounded: bool = True) -> None:
         self._bounded = bounded
         self.step_mm = step_mm
-        self._extent: tuple[int, int, int, int] | None = None  # first and last row and column of tiles
-        self._tiles: dict[tuple[int, int], F64] = {}  # (weight, weight · z) of TILE x TILE nodes
+        self._tiles: dict[_Tile, F64] = {}  # (weight, weight · z) of TILE x TILE nodes
 
     def add(self, points_mm: F64, weight: F32 | F64) -> None:
         """Fuse points (N, 3) in the base frame with their weights (N,)."""
@@ -141,65 +104,71 @@ class SurfaceMap:
         along, across = (points_mm[:, :2] / self.step_mm - corner).T
         j, i = corner.T.astype(np.int64)
         window = _window(i, j, self.step_mm)
-        rows, cols = window.rows, window.cols
-        cell = (i - window.row) * cols + (j - window.col)
-        sums = np.zeros((2, rows * cols))
-        shares = ((0, (1 - along) * (1 - across)), (1, along * (1 - across)))
-        for offset, share in (*shares, (cols, (1 - along) * across), (cols + 1, along * across)):
+        shape = (2, window.rows, window.cols)
+        cell = (i - window.row) * window.cols + (j - window.col)
+        sums = np.zeros((2, window.rows * window.cols))
+        for offset, share in (
+            (0, (1 - along) * (1 - across)),
+            (1, along * (1 - across)),
+            (window.cols, (1 - along) * across),
+            (window.cols + 1, along * across),
+        ):
             w = weight * share
-            sums[0] += np.bincount(cell + offset, w, rows * cols)
-            sums[1] += np.bincount(cell + offset, w * points_mm[:, 2], rows * cols)
-        overlaps = [overlap for overlap in window.overlaps() if sums[0].reshape(rows, cols)[overlap.in_window].any()]
-        if not overlaps:
-            return
-        missing = [overlap.tile for overlap in overlaps if overlap.tile not in self._tiles]
-        if self._bounded and len(self._tiles) + len(missing) > TILES_MAX:
+            sums[0] += np.bincount(cell + offset, w, len(sums[0]))
+            sums[1] += np.bincount(cell + offset, w * points_mm[:, 2], len(sums[0]))
+        sums = sums.reshape(shape)
+        overlaps = [each for each in window.overlaps() if sums[0][each[2]].any()]
+        if self._bounded and overlaps:
+            self._require_bounds({tile for tile, _, _ in overlaps} | self._tiles.keys())
+        for tile, in_tile, in_window in overlaps:
+            mine = self._tiles.setdefault(tile, np.zeros((2, TILE, TILE)))
+            mine[:, *in_tile] += sums[:, *in_window]
+
+    def _require_bounds(self, tiles: set[_Tile]) -> None:
+        if len(tiles) > TILES_MAX:
             raise ValueError(f"the map would exceed {TILES_MAX} tiles of {TILE * self.step_mm:g} mm")
-        extent = _box([overlap.tile for overlap in overlaps], self._extent)
-        if self._bounded and (extent[2] - extent[0] + 1) * (extent[3] - extent[1] + 1) > EXTENT_MAX_TILES:
+        high, wide = (1 + max(places) - min(places) for places in zip(*tiles, strict=True))
+        if high * wide > EXTENT_MAX_TILES:
             raise ValueError(
                 f"the map would spread over more than {EXTENT_MAX_TILES} tiles of {TILE * self.step_mm:g} mm: "
                 "a pose is far from the others"
             )
-        self._extent = extent
-        for tile in missing:
-            self._tiles[tile] = np.zeros((2, TILE, TILE))
-        for overlap in overlaps:
-            self._tiles[overlap.tile][:, *overlap.in_tile] += sums.reshape(2, rows, cols)[:, *overlap.in_window]
 
     @property
     def tiles(self) -> int:
         """Number of tiles of 64 KiB each."""
         return len(self._tiles)
 
-    def heights(self) -> Heights:
-        """The present heights, without the weights."""
-        tiles = {}
-        for at, (weight, total) in self._tiles.items():
-            tiles[at] = np.full((TILE, TILE), np.nan, np.float32)
-            np.divide(total, weight, out=tiles[at], where=weight > 0, casting="unsafe")
-        return Heights(tiles, self.step_mm)
+    def z_at(self, points_mm: F64) -> F32:
+        """The z at the nodes nearest to points (N, 3), mm; NaN at holes."""
+        if len(points_mm) == 0:
+            return np.zeros(0, np.float32)
+        j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
+        window = _window(i, j, self.step_mm)
+        z_mm = np.full((window.rows, window.cols), np.nan, np.float32)
+        for tile, in_tile, in_window in window.overlaps():
+            if tile in self._tiles:
+                weight, total = self._tiles[tile][:, *in_tile]
+                np.divide(total, weight, out=z_mm[in_window], where=weight > 0, casting="unsafe")
+        return np.asarray(z_mm[i - window.row, j - window.col])
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
         """The map's bounding box as one array, with cells below `min_weight` as holes; one empty cell before the first
         contact.
         """
-        known = {at: weight >= min_weight for at, (weight, _) in self._tiles.items()}
-        known = {at: cells for at, cells in known.items() if cells.any()}
-        if not known:
+        places = list(zip(*self._tiles, strict=True)) or [(0,), (0,)]
+        (top, bottom), (left, right) = ((min(each), max(each)) for each in places)
+        whole = np.full(((bottom - top + 1) * TILE, (right - left + 1) * TILE), np.nan, np.float32)
+        for (row, col), (weight, total) in self._tiles.items():
+            part = whole[(row - top) * TILE :, (col - left) * TILE :][:TILE, :TILE]
+            np.divide(total, weight, out=part, where=weight >= min_weight, casting="unsafe")
+        known = np.isfinite(whole)
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
             return Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, self.step_mm)
-        spans = [(i * TILE + np.flatnonzero(cells.any(axis=1))[[0, -1]]) for (i, _), cells in known.items()]
-        top, bottom = min(int(first) for first, _ in spans), max(int(last) for _, last in spans)
-        spans = [(j * TILE + np.flatnonzero(cells.any(axis=0))[[0, -1]]) for (_, j), cells in known.items()]
-        left, right = min(int(first) for first, _ in spans), max(int(last) for _, last in spans)
-        window = _Window(top, left, bottom - top + 1, right - left + 1)
-        whole = np.full((window.rows, window.cols), np.nan, np.float32)
-        for overlap in window.overlaps():
-            if overlap.tile in known:
-                weight, total = self._tiles[overlap.tile][:, *overlap.in_tile]
-                where = known[overlap.tile][overlap.in_tile]
-                np.divide(total, weight, out=whole[overlap.in_window], where=where, casting="unsafe")
-        return Raster(whole, left * self.step_mm, top * self.step_mm, self.step_mm)
+        i, j = int(rows[0]), int(cols[0])
+        corner_mm = ((left * TILE + j) * self.step_mm, (top * TILE + i) * self.step_mm)
+        return Raster(whole[i : rows[-1] + 1, j : cols[-1] + 1], *corner_mm, self.step_mm)
 
 
 def _window(i: I64, j: I64, step_mm: float) -> _Window:
@@ -210,17 +179,7 @@ def _window(i: I64, j: I64, step_mm: float) -> _Window:
     return _Window(top, left, bottom - top + 2, right - left + 2)
 
 
-def _box(tiles: list[tuple[int, int]], before: tuple[int, int, int, int] | None) -> tuple[int, int, int, int]:
-    """First and last row and column of tiles, merged with an earlier box."""
-    rows, cols = [row for row, _ in tiles], [col for _, col in tiles]
-    if before is not None:
-        rows += before[::2]
-        cols += before[1::2]
-    return min(rows), min(cols), max(rows), max(cols)
-
-
-POINTS_MAX = 4_000_000
-"""Limit for all presses together: 16 bytes each, 64 MB."""
+POINTS_MAX = 4_000_000  # limit for all presses together: 16 bytes each, 64 MB
 # If poses are not exact, some press makes the outline wrong, so a cell needs more weight.
 _MIN_WEIGHT_REFINED = 0.15
 _CAUCHY_MM = 0.2  # a point at this distance from its cell's mean counts half
@@ -231,8 +190,8 @@ CORRECTION_MAX_SIGMAS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class PlacedPress:
-    """One press in a finished map: the pose found, or the reported one if poses are exact; the change from the reported
-    one at the apex; why its points are not in the map, if they are not; their number.
+    """One press in a finished map: its pose; the change from the reported one at the apex; why its points are not in
+    the map.
     """
 
     base_T_sensor: Rigid
@@ -263,9 +222,6 @@ class _Press:
     thinned: F64
     reported: Rigid
 
-    def at(self, base_T_sensor: Rigid) -> F64:
-        return base_T_sensor.apply(self.points_mm)
-
 
 class Stitcher:
     """Collects presses; the map so far is available at any time, the refined one at the end. `apex_mm` is the skin's
@@ -275,7 +231,7 @@ class Stitcher:
     def __init__(self, apex_mm: float) -> None:
         self._apex = np.array((0.0, 0.0, apex_mm))
         self._presses: list[_Press] = []
-        self._points = 0
+        self.points = 0  # of all presses
         self.map = SurfaceMap(STEP_MM)
 
     @property
@@ -283,56 +239,49 @@ class Stitcher:
         """Number of presses."""
         return len(self._presses)
 
-    @property
-    def points(self) -> int:
-        """Number of points of all presses."""
-        return self._points
-
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
-        """Add a press at its reported pose; the cost does not grow with the map. Raises ValueError, and adds nothing,
-        if the press has no points or the map is full (`POINTS_MAX`, `TILES_MAX`).
+        """Add a press at its reported pose. ValueError if it has no points or the map is full (`POINTS_MAX`,
+        `TILES_MAX`).
         """
         count = len(points.points_mm)
         if count == 0:
             raise ValueError("a press without points")
-        if self._points + count > POINTS_MAX:
+        if self.points + count > POINTS_MAX:
             raise ValueError(f"the map would exceed {POINTS_MAX} points")
         # Refinement turns a pose by a degree or so, which hardly changes the slopes.
         weight = height_weight(points, base_T_sensor)
         press = _Press(points.points_mm, weight.astype(np.float32), thin_points(points), base_T_sensor)
-        self.map.add(press.at(base_T_sensor), press.weight)
+        self.map.add(base_T_sensor.apply(press.points_mm), press.weight)
         self._presses.append(press)
-        self._points += count
+        self.points += count
 
     def finish(self, error: PoseError | None = PoseError()) -> StitchedMap:  # noqa: B008 (frozen)
         """Find the poses, whose error by the robot is `error` (None: they are exact), leave out presses that do not
         fit, and fuse again without outlying points.
         """
-        reported, disagreement_mm = [p.reported for p in self._presses], 0.0
-        poses, part = reported, 0.0
+        poses, disagreement_mm, part = [p.reported for p in self._presses], 0.0, 0.0
         if error is not None and self.presses > 1:
             thinned = [p.thinned for p in self._presses]
-            refined = refine_poses(thinned, reported, self._apex, error)
-            dz_mm = [(p.apply(self._apex) - r.apply(self._apex))[2] for p, r in zip(refined, reported, strict=True)]
+            refined = refine_poses(thinned, poses, self._apex, error)
+            dz_mm = [change(old, new, self._apex)[2] for old, new in zip(poses, refined, strict=True)]
             disagreement_mm = float(np.sqrt(np.mean(np.square(dz_mm))))
-            part = robots_part(thinned, reported, refined, self._apex)
-        exact = part == 0
-        if exact:
-            error = None
-        else:
-            poses = [moved_by_part(r, p, part, self._apex) for r, p in zip(reported, refined, strict=True)]
-        heights = self._fused(poses, [None] * len(poses), None).heights()
-        placed = [self._placed(press, pose, heights, error) for press, pose in zip(self._presses, poses, strict=True)]
+            part = robots_part(thinned, poses, refined, self._apex)
+            if part:
+                poses = [moved_by_part(old, new, part, self._apex) for old, new in zip(poses, refined, strict=True)]
+        fused = self._fused(poses, [None] * len(poses), None)
+        placed = [
+            self._placed(press, pose, fused, error if part else None)
+            for press, pose in zip(self._presses, poses, strict=True)
+        ]
         rejected = [p.rejected for p in placed]
         if any(rejected):
-            heights = self._fused(poses, rejected, None).heights()
-        fused = self._fused(poses, rejected, heights)
-        raster = fused.raster(MIN_WEIGHT if exact else _MIN_WEIGHT_REFINED)
-        return StitchedMap(raster, tuple(placed), disagreement_mm, not exact)
+            fused = self._fused(poses, rejected, None)
+        raster = self._fused(poses, rejected, fused).raster(_MIN_WEIGHT_REFINED if part else MIN_WEIGHT)
+        return StitchedMap(raster, tuple(placed), disagreement_mm, part > 0)
 
-    def _placed(self, press: _Press, pose: Rigid, heights: Heights, error: PoseError | None) -> PlacedPress:
+    def _placed(self, press: _Press, pose: Rigid, fused: SurfaceMap, error: PoseError | None) -> PlacedPress:
         at = pose.apply(press.thinned[:, :3])
-        deviation_mm = float(np.median(np.abs(at[:, 2] - heights.z_at(at))))
+        deviation_mm = float(np.median(np.abs(at[:, 2] - fused.z_at(at))))
         correction_mm, correction_deg = correction(press.reported, pose, self._apex)
         rejected = None
         if deviation_mm > DEVIATION_MAX_MM:
@@ -346,13 +295,15 @@ class Stitcher:
             rejected = Reason(ReasonCode.PRESS_DISPLACED, text)
         return PlacedPress(pose, correction_mm, correction_deg, rejected, len(press.points_mm))
 
-    def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:
+    def _fused(
+        self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: SurfaceMap | None
+    ) -> SurfaceMap:
         """Fuse the presses into a new map, with Cauchy's weight of each point's distance to the map `before`."""
         fused = SurfaceMap(STEP_MM, bounded=False)  # refined presses lie slightly elsewhere
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):
             if reason is not None:
                 continue
-            at, weight = press.at(pose), press.weight
+            at, weight = pose.apply(press.points_mm), press.weight
             if before is not None:
                 weight = np.nan_to_num(weight / (1 + ((at[:, 2] - before.z_at(at)) / _CAUCHY_MM) ** 2))
             fused.add(at, weight)

@@ -133,7 +133,7 @@ def no_number(pad: Path) -> None:
         (untouched, (), "no contact"),
         (no_number, ("--find-flange",), "POSES.csv:2: x_mm: "),
         (lambda pad: (pad / "PAD.npz").write_text("nothing"), ("--truth", "{pad}/PAD.npz"), "PAD.npz: "),
-        (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y and z"),
+        (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y, z"),
         (lambda _: None, ("--find-flange", "--truth", "{pad}/PAD.npz"), "--truth: "),
         (lambda pad: recorded(pad, pad / "rec", poses=False), ("--recording", "{pad}/rec"), ""),
         (lambda pad: recorded(pad, pad / "rec"), ("--find-flange", "--recording", "{pad}/rec"), "expected at least 12"),
