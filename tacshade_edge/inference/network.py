@@ -5,71 +5,82 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.core.depth import Network, NetworkMaps, ShearNetwork, SigmaModel
+import numpy as np
+
+from tacshade_edge.core.depth import Network, SigmaModel
+from tacshade_edge.core.depth.base import Features
 from tacshade_edge.core.depth.sigma import TERMS
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of
+from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.inference.onnx_weights import layout_of, values_of, weights_of, with_values, with_weights_of
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, Calibration, FittedNetwork, TouchModel
+from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, FittedNetwork, Frame, Need
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-
-import numpy as np
-
-from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of
-from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
-from tacshade_edge.types import QUANTITIES, U8, Frame, Need
 
 WEIGHTS = Path(str(resources.files("tacshade_edge.inference") / "weights"))
-
-
-SHEAR = "shear"
-"""Name of the network of shear, which all profiles share."""
+SHEAR = "shear"  # name of the network of shear, which all profiles share
 
 
 def load_network(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
-    """Load a shipped network (`Profile.network`) and that of shear, or fitted ones; for one thread at a time.
-
-    Raises ValueError if the fitted weights have another layout.
+    """Load a shipped network (`Profile.network`) and that of shear, or fitted ones; for one thread at a time. Raises
+    ValueError if the fitted weights have another layout.
     """
     return read_network(WEIGHTS / f"{name}.onnx", fitted, fitted_shear)
 
 
 def read_network(onnx: Path, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
-    about = _about(onnx)
-    frame, once = _files(onnx, fitted)
-    session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
-    with_features = _with_features(onnx, fitted)
-
-    def run(white: F32, sensor: F32) -> NetworkMaps:
-        maps, untrusted = session.run(None, {"white": white[None], "sensor": sensor[None]})
-        return NetworkMaps(maps[0], untrusted[0, 0])
-
-    def run_touch(white: F32, sensor: F32) -> tuple[NetworkMaps, F32]:
-        maps, untrusted, features = with_features(white, sensor)
-        return NetworkMaps(maps[0], untrusted[0, 0]), features[0]
-
-    shear = read_shear(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
+    own, shear = read_part(onnx, fitted), read_part(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
     return_free_memory()  # 8 MB for `accurate`
-    touch = run_touch if _touch_file(onnx).exists() else None
-    return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem), touch)
+
+    def sense(known: F32) -> F32:
+        return own.sense(known) if fitted is None else own.sense(known) + fitted.correction
+
+    return replace(own, sense=sense, shear=shear, sigma=_sigma(onnx.stem))
+
+
+def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
+    """Read one network, without its correction. Raises ValueError like `load_network`. The features for a touch model
+    come from a second session, made for the first of them: it reads the files again, so that no weights are kept for
+    it.
+    """
+    about, (frame, once) = _about(onnx), _files(onnx, fitted)
+    session, more = _session(in_integers(onnx, frame)), list["InferenceSession"]()
+    touch = _touch_file(onnx) if _touch_file(onnx).exists() else None
+
+    def run(white: F32, sensor: F32, features: Features | None = None) -> Sequence[F32]:
+        given = {"white": white[None], "sensor": sensor[None]}
+        if features is None or touch is None:
+            return [answer[0] for answer in session.run(None, given)]
+        if not more:
+            # Protocol Buffers reads concatenated messages as one message.
+            more.append(_session(in_integers(onnx, _files(onnx, fitted)[0]) + touch.read_bytes()))
+        *answers, pooled = (answer[0] for answer in more[0].run(None, given))
+        features.append(pooled)
+        return answers
+
+    def sense(known: F32) -> F32:
+        answer: F32 = _session(once).run(None, {"known": known[None]})[0][0]
+        return answer
+
+    return Network(int(about["fold"]), int(about["cells"]), sense, run)
 
 
 def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
     """What runs for every frame and what runs once, with fitted weights if there are any. Raises ValueError."""
-    frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
+    frame, once = onnx.read_bytes(), onnx.with_suffix(".sensor.onnx").read_bytes()
     if fitted is None:
         return frame, once
     if fitted.layout != layout_of(frame, once):
@@ -79,18 +90,14 @@ def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
-    """Put the weights of a per-frame network into its integer graph, if it has one.
-
-    ``NAME.integer.onnx`` (tools/training/integer.py) has no weights of its own and rounds those that it receives.
-    """
+    """Put the weights of a per-frame network into its integer graph, if it has one (tools/training/integer.py)."""
     graph = onnx.with_suffix(".integer.onnx")
     return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
 
 
 def network_files(name: str) -> tuple[bytes, bytes]:
     """The shipped ONNX files: the one that runs for every frame, and the one that runs once per sensor."""
-    onnx = WEIGHTS / f"{name}.onnx"
-    return onnx.read_bytes(), _beside(onnx).read_bytes()
+    return _files(WEIGHTS / f"{name}.onnx", None)
 
 
 def network_size(name: str) -> tuple[int, int]:
@@ -125,53 +132,11 @@ def _sigma(name: str) -> SigmaModel | None:
     return SigmaModel(tuple(float(known["weights"][term]) for term in TERMS), *others)
 
 
-def read_shear(onnx: Path, fitted: FittedNetwork | None = None) -> ShearNetwork:
-    """Read the shear network. Raises ValueError like `load_network`."""
-    about, (frame, once) = _about(onnx), _files(onnx, fitted)
-    session, with_features = _session(in_integers(onnx, frame)), _with_features(onnx, fitted)
-
-    def run(white: F32, sensor: F32) -> F32:
-        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
-        return answer
-
-    def run_touch(white: F32, sensor: F32) -> tuple[F32, F32]:
-        answer, features = with_features(white, sensor)
-        return answer[0], features[0]
-
-    touch = run_touch if _touch_file(onnx).exists() else None
-    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(once), run, touch)
-
-
-def _touch_file(onnx: Path) -> Path:
-    """The file with the nodes that pool activations for a touch model (tools/training/touch_outputs.py)."""
-    return onnx.with_suffix(".touch.onnx")
-
-
-def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[[F32, F32], list[F32]]:
-    """Return a function that runs a graph with its features as one more output.
-
-    Its first call makes graph and session: it reads the files again, so that no weights are kept for it.
-    """
-    made: list[InferenceSession] = []
-
-    def run(white: F32, sensor: F32) -> list[F32]:
-        if not made:
-            frame = onnx.read_bytes()
-            if fitted is not None:
-                frame = with_values(frame, fitted.weights[: len(values_of(frame))])
-            # Protocol Buffers reads concatenated messages as one message.
-            made.append(_session(in_integers(onnx, frame) + _touch_file(onnx).read_bytes()))
-        answers: list[F32] = made[0].run(None, {"white": white[None], "sensor": sensor[None]})
-        return answers
-
-    return run
-
-
 def touch_networks(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> str:
     """SHA-256 of everything that computes a touch model's features (`TouchModel.networks`)."""
     digest = hashlib.sha256()
-    for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / "shear.onnx"):
-        for path in (onnx, _beside(onnx), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
+    for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / f"{SHEAR}.onnx"):
+        for path in (onnx, onnx.with_suffix(".sensor.onnx"), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
             digest.update(path.read_bytes())
     for each in (fitted, fitted_shear):
         if each is not None:
@@ -184,16 +149,9 @@ def _about(onnx: Path) -> dict[str, Any]:
     return about
 
 
-def _beside(onnx: Path) -> Path:
-    return onnx.with_suffix(".sensor.onnx")
-
-
-def _sensing(model: bytes | Path, correction: F32 | None = None) -> Callable[[F32], F32]:
-    def sense(known: F32) -> F32:
-        answer: F32 = _session(model).run(None, {"known": known[None]})[0][0]
-        return answer if correction is None else answer + correction
-
-    return sense
+def _touch_file(onnx: Path) -> Path:
+    """The file with the nodes that pool activations for a touch model (tools/training/touch_outputs.py)."""
+    return onnx.with_suffix(".touch.onnx")
 
 
 def runtime() -> Any:
@@ -204,7 +162,7 @@ def runtime() -> Any:
     return onnxruntime
 
 
-def _session(model: bytes | Path) -> InferenceSession:
+def _session(model: bytes) -> InferenceSession:
     onnxruntime = runtime()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -229,30 +187,19 @@ def preload(profile: Profile) -> None:
 
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
-    """Make a reconstructor, with the network that the profile names: the fitted one if there is one.
-
-    A preloaded network is shared instead of loaded again: only one thread of a daemon runs it.
+    """Make a reconstructor, with the network that the profile names, fitted or shipped; a preloaded one is shared: only
+    one thread of a daemon runs it. A touch model learned from other networks is replaced by a reason.
     """
-    name = profile.network
-    fitted, shear = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
-    network = None
-    if name:
-        network = _for_all.get(name) if fitted is None and shear is None else None
-        network = network or load_network(name, fitted, shear)
-    return Reconstructor(calibration, profile, network, touch=_touch(calibration, profile))
-
-
-def _touch(calibration: Calibration, profile: Profile) -> TouchModel | Reason | None:
-    """The profile's touch model, or why the networks that run now do not fit it; None if there is no model."""
-    model = calibration.touch.get(profile.name)
-    if model is None or not profile.network:
-        return None
-    if model.networks == touch_networks(
-        profile.network, calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
-    ):
-        return model
+    name, touch = profile.network, calibration.touch.get(profile.name)
+    if not name:
+        return Reconstructor(calibration, profile)
+    fitted = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
+    shared = _for_all.get(name) if fitted == (None, None) else None
+    network = shared or load_network(name, *fitted)
+    if touch is None or touch.networks == touch_networks(name, *fitted):
+        return Reconstructor(calibration, profile, network, touch=touch)
     text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
-    return Reason(ReasonCode.TOUCH_NETWORKS, text)
+    return Reconstructor(calibration, profile, network, touch=Reason(ReasonCode.TOUCH_NETWORKS, text))
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,10 +214,8 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchResult:
-    """What a profile learnt from a table.
-
-    `names` are the frames that were used, which the reports number; `left_out` has a line for each other one; `too_few`
-    are the rows and groups of each quantity that has too few.
+    """What a profile learnt from a table: the frames that were used, which the reports number; a line for each other
+    one; the rows and groups of each quantity that has too few.
     """
 
     profile: str
@@ -313,28 +258,22 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 
+UNITS = {"mm": "mm", "deg": "°", "n": "N", "nmm": "N mm"}  # symbol of the unit at the end of a quantity's name
+SHOWN = 5  # greatest number of rows that a line names
+
+
 def report_lines(result: TouchResult) -> Sequence[str]:
     """The result as lines of text."""
     lines = [f"touch model of {result.profile}: {len(result.names)} frames"]
     for each in result.learnt.reports:
-        unit = UNITS[each.name.rpartition("_")[2]]
         if not each.seen:
             lines.append(f"  {each.name}: not visible in these frames (R² {each.r2:.2f}): no answer")
             continue
-        lines.append(
-            f"  {each.name}: off by {each.error:.3g} {unit} (R² {each.r2:.2f}; 90 % intervals hold "
-            f"{100 * each.coverage_90:.0f} %); expect {each.error_twice:.3g} with twice the labels, "
-            f"{each.error_four_times:.3g} with four times"
-        )
+        unit = UNITS[each.name.rpartition("_")[2]]
+        hold = f"90 % intervals hold {100 * each.coverage_90:.0f} %"
+        lines.append(f"  {each.name}: off by {each.error:.3g} {unit} (R² {each.r2:.2f}; {hold})")
         if each.contradicting:
             rows = ", ".join(result.names[row] for row in each.contradicting[:SHOWN])
             more = f" and {len(each.contradicting) - SHOWN} more" if len(each.contradicting) > SHOWN else ""
             lines.append(f"    contradict the others: {rows}{more}")
     return lines
-
-
-UNITS = {"mm": "mm", "deg": "°", "n": "N", "nmm": "N mm"}
-"""Symbol of the unit at the end of a quantity's name."""
-
-SHOWN = 5
-"""Greatest number of rows that a line names."""

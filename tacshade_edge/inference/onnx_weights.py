@@ -2,15 +2,17 @@
 
 A fitted network is stored as its weights alone, so that a calibration contains numbers and never a graph. This module
 reads only the fields that it needs of the format (Protocol Buffers, and ONNX's ``onnx.proto``). ONNX Runtime replaces a
-graph's weights by name, but states neither their names and values nor the layout to which they belong.
+graph's weights by name, but states neither their names and values nor the layout to which they belong. What is no such
+file raises ValueError.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,14 +25,13 @@ _DIMS, _DATA_TYPE, _NAME, _RAW_DATA = 1, 2, 8, 9
 _INPUT, _OUTPUT, _KIND, _ATTRIBUTE = 1, 2, 4, 5
 _ATTRIBUTE_NAME, _INTEGER, _INTEGERS = 1, 3, 8
 _FLOAT = 1
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_VARINT, _BYTES = 0, 2
+_FIXED_BYTES = {1: 8, 5: 4}
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """A field of a message: its number, and its value or the range of its bytes in the file."""
+class Field(NamedTuple):
+    """A field of a message: its value, or the range of its bytes in the file."""
 
-    number: int
     value: int
     begin: int
     end: int
@@ -56,44 +57,41 @@ class Node:
     attributes: dict[str, int | tuple[int, ...]]
 
 
-def fields(data: bytes, begin: int, end: int) -> Iterator[Field]:
-    """The fields of the message from `begin` to `end`. Raises ValueError if these bytes are no message."""
+def fields(data: bytes, begin: int, end: int) -> dict[int, list[Field]]:
+    """The fields of the message from `begin` to `end`, by number."""
+    found: dict[int, list[Field]] = defaultdict(list)
     while begin < end:
         key, begin = _varint(data, begin)
-        number, kind, value = key >> 3, key & 7, 0
+        kind, value = key & 7, 0
         if kind == _VARINT:
             value, after = _varint(data, begin)
         elif kind == _BYTES:
             length, begin = _varint(data, begin)
             after = begin + length
-        elif kind in (_FIXED32, _FIXED64):
-            after = begin + (4 if kind == _FIXED32 else 8)
+        elif kind in _FIXED_BYTES:
+            after = begin + _FIXED_BYTES[kind]
         else:
             raise ValueError(f"wire type {kind} at byte {begin}")
         if after > end:
             raise ValueError(f"the field at byte {begin} goes beyond its message")
-        yield Field(number, value, begin, after)
+        found[key >> 3].append(Field(value, begin, after))
         begin = after
+    return found
 
 
 def graph_of(data: bytes) -> Field:
-    """The field of the graph. Raises ValueError if there is none."""
-    for field in fields(data, 0, len(data)):
-        if field.number == _GRAPH:
-            return field
-    raise ValueError("no graph")
+    """The field of the graph."""
+    return _one(fields(data, 0, len(data)), _GRAPH)
 
 
 def weights_of(data: bytes) -> list[Weight]:
-    """All weights, in the file's order. Raises ValueError if one is not raw float32."""
-    graph = graph_of(data)
-    return [_weight(data, field) for field in fields(data, graph.begin, graph.end) if field.number == _INITIALIZER]
+    """All weights, raw float32, in the file's order."""
+    return [_weight(data, tensor) for tensor in _of_graph(data, _INITIALIZER)]
 
 
 def nodes_of(data: bytes) -> list[Node]:
     """All operations, in the order of execution."""
-    graph = graph_of(data)
-    return [_node(data, field) for field in fields(data, graph.begin, graph.end) if field.number == _NODE]
+    return [_node(data, node) for node in _of_graph(data, _NODE)]
 
 
 def layout_of(*files: bytes) -> str:
@@ -127,13 +125,8 @@ def with_values(data: bytes, values: F32) -> bytes:
 
 def with_weights_of(graph: bytes, data: bytes) -> bytes:
     """A network without weights, completed with those of another file."""
-    lies = graph_of(data)
-    weights = b"".join(
-        message(_INITIALIZER, data[field.begin : field.end])
-        for field in fields(data, lies.begin, lies.end)
-        if field.number == _INITIALIZER
-    )
-    return joined(graph, weights)
+    tensors = (message(_INITIALIZER, data[one.begin : one.end]) for one in _of_graph(data, _INITIALIZER))
+    return joined(graph, b"".join(tensors))
 
 
 def joined(graph: bytes, more: bytes) -> bytes:
@@ -150,36 +143,38 @@ def message(number: int, content: bytes) -> bytes:
     return bytes(made) + bytes([left]) + content
 
 
+def _of_graph(data: bytes, number: int) -> list[Field]:
+    graph = graph_of(data)
+    return fields(data, graph.begin, graph.end)[number]
+
+
+def _one(found: dict[int, list[Field]], number: int) -> Field:
+    if not found[number]:
+        raise ValueError(f"no field {number}, for example no graph")
+    return found[number][0]
+
+
 def _weight(data: bytes, tensor: Field) -> Weight:
-    shape: list[int] = []
-    name, raw, kind = "", None, 0
-    for field in fields(data, tensor.begin, tensor.end):
-        if field.number == _DIMS:
-            shape.append(field.value)
-        elif field.number == _DATA_TYPE:
-            kind = field.value
-        elif field.number == _NAME:
-            name = data[field.begin : field.end].decode()
-        elif field.number == _RAW_DATA:
-            raw = field
-    if raw is None or kind != _FLOAT or 4 * math.prod(shape) != raw.end - raw.begin:
+    parts = fields(data, tensor.begin, tensor.end)
+    name, raw, shape = _text(data, _one(parts, _NAME)), _one(parts, _RAW_DATA), tuple(d.value for d in parts[_DIMS])
+    if _one(parts, _DATA_TYPE).value != _FLOAT or 4 * math.prod(shape) != raw.end - raw.begin:
         raise ValueError(f"weight {name}: expected raw float32")
-    return Weight(name, tuple(shape), raw.begin, raw.end)
+    return Weight(name, shape, raw.begin, raw.end)
 
 
 def _node(data: bytes, node: Field) -> Node:
-    names: dict[int, list[str]] = {_INPUT: [], _OUTPUT: [], _KIND: []}
+    parts = fields(data, node.begin, node.end)
     attributes: dict[str, int | tuple[int, ...]] = {}
-    for field in fields(data, node.begin, node.end):
-        if field.number in names:
-            names[field.number].append(data[field.begin : field.end].decode())
-        elif field.number == _ATTRIBUTE:
-            parts = list(fields(data, field.begin, field.end))
-            name = next(data[part.begin : part.end].decode() for part in parts if part.number == _ATTRIBUTE_NAME)
-            several = tuple(part.value for part in parts if part.number == _INTEGERS)
-            one = [part.value for part in parts if part.number == _INTEGER]
-            attributes[name] = several or (one[0] if one else 0)
-    return Node(names[_KIND][0], tuple(names[_INPUT]), names[_OUTPUT][0], attributes)
+    for attribute in parts[_ATTRIBUTE]:
+        about = fields(data, attribute.begin, attribute.end)
+        integers, one = tuple(each.value for each in about[_INTEGERS]), about[_INTEGER]
+        attributes[_text(data, _one(about, _ATTRIBUTE_NAME))] = integers or (one[0].value if one else 0)
+    inputs = tuple(_text(data, each) for each in parts[_INPUT])
+    return Node(_text(data, _one(parts, _KIND)), inputs, _text(data, parts[_OUTPUT][0]), attributes)
+
+
+def _text(data: bytes, field: Field) -> str:
+    return data[field.begin : field.end].decode()
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -37,35 +37,7 @@ from tacshade_edge.types.reconstruction import (
     TouchedObject,
 )
 
-__all__ = [
-    "F32",
-    "F64",
-    "I32",
-    "I64",
-    "IDENTITY_POSE",
-    "QUANTITIES",
-    "TOUCH_ARRAYS",
-    "U8",
-    "U16",
-    "Binarisation",
-    "Bool",
-    "Calibration",
-    "Disc",
-    "Fit",
-    "FittedNetwork",
-    "Frame",
-    "Geometry",
-    "HeightMap",
-    "Need",
-    "ObjectCloud",
-    "Polarity",
-    "Pose",
-    "ProfileFit",
-    "Reconstruction",
-    "Slip",
-    "Touch",
-    "TouchModel",
-    "TouchedObject",
-    "freeze",
-    "frozen",
-]
+__all__ = ["F32", "F64", "I32", "I64", "IDENTITY_POSE", "U8", "U16", "Bool", "Disc", "Frame", "Geometry", "Pose"]
+__all__ += ["Binarisation", "Calibration", "Fit", "FittedNetwork", "Polarity", "ProfileFit", "freeze", "frozen"]
+__all__ += ["QUANTITIES", "TOUCH_ARRAYS", "HeightMap", "Need", "ObjectCloud", "Reconstruction", "Slip", "TouchModel"]
+__all__ += ["Touch", "TouchedObject"]

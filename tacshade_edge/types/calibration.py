@@ -37,8 +37,8 @@ _GEOMETRY: dict[type, dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """The presses whose contact a refitted profile found, and its errors of their greatest h, each judged by a refit to
-    all the others.
+    """The presses whose contact a refitted profile found, and errors of their greatest h, each judged by a refit to all
+    the others.
     """
 
     presses: Annotated[int, Meta(ge=0, le=10**6)]
@@ -60,10 +60,8 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:
-    """A profile's network, trained further with a sensor's own presses (``calibrate --fit``).
-
-    Errors are of h on the presses kept out of the training, at the cells where the indenter's surface is known; each
-    indenter counts alike.
+    """A profile's network, trained further with a sensor's own presses (``calibrate --fit``). Errors are of h on the
+    presses kept out of the training, where the indenter's surface is known; each indenter counts alike.
     """
 
     layout: str  # of the shipped network that training began with; the weights run in no other
@@ -111,44 +109,30 @@ class TouchModel:
     def __post_init__(self) -> None:
         freeze(self, *TOUCH_ARRAYS)
         require_bounds(self)
-        for name, shape in _touch_shapes(self).items():
+        sizes = {"Q": len(self.names)}
+        for name, letters in _TOUCH_SHAPES.items():
             array: F32 = getattr(self, name)
-            if array.dtype != np.float32 or array.shape != shape:
-                raise ValueError(f"touch model: {name} is {array.dtype} {array.shape}, expected {shape}")
+            if array.dtype != np.float32 or not array.size or array.ndim != len(letters):
+                raise ValueError(f"touch model: {name} is {array.dtype} {array.shape}, expected float32 {letters}")
             if not np.isfinite(array).all():
                 raise ValueError(f"touch model: {name} has a value that is not finite")
+            for letter, size in zip(letters, array.shape, strict=True):
+                if sizes.setdefault(letter, size) != size:
+                    raise ValueError(f"touch model: {name} is {array.shape}, which does not fit the other arrays")
+        quantities = sizes["Q"]
+        if sizes["+"] != sizes["m"] + sizes["M"] or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
+            raise ValueError(f"touch model: arrays of sizes that do not fit each other: {sizes}")
         positive = (self.deviation, self.spread, self.noise, self.ridge)
         if min(array.min() for array in positive) <= 0 or (self.precision < 0).any():
             raise ValueError("touch model: a deviation is not above 0")
 
 
-TOUCH_ARRAYS = (
-    *("mean", "deviation", "components", "spread", "centres", "basis", "weights", "precision", "ridge"),
-    *("offset", "noise", "low", "high", "imprint_weights", "imprint_precision"),
-)
-
-
-def _touch_shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
-    """The expected shape of each array, from those of `components`, `centres`, `basis` and `imprint_weights`."""
-    matrices = (model.components, model.centres, model.basis, model.imprint_weights)
-    if not model.names or any(matrix.ndim != 2 or not matrix.size for matrix in matrices):
-        raise ValueError("touch model: found no quantity, or an array that is not a matrix")
-    features, parts = model.components.shape
-    centres, columns, quantities = len(model.centres), model.basis.shape[1], len(model.names)
-    terms, imprint = (quantities + 1) * (quantities + 2) // 2, model.imprint_weights.shape[1]
-    return {
-        "mean": (features,),
-        "deviation": (features,),
-        "components": (features, parts),
-        "spread": (parts,),
-        "centres": (centres, parts),
-        "basis": (parts + centres, columns),
-        "weights": (parts + centres, quantities),
-        "precision": (columns, quantities),
-        "imprint_weights": (terms, imprint),
-        "imprint_precision": (imprint, imprint),
-        **dict.fromkeys(("ridge", "offset", "noise", "low", "high"), (quantities,)),
-    }
+_TOUCH_SHAPES = {
+    **{"mean": "D", "deviation": "D", "components": "Dm", "spread": "m", "centres": "Mm", "basis": "+K"},
+    **{"weights": "+Q", "precision": "KQ", "ridge": "Q", "offset": "Q", "noise": "Q", "low": "Q", "high": "Q"},
+    **{"imprint_weights": "TI", "imprint_precision": "II"},
+}  # a letter for each size, as in `TouchModel`; + for m + M
+TOUCH_ARRAYS = tuple(_TOUCH_SHAPES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,17 +84,9 @@ class Disc:
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Skin, camera and visible circle: everything needed to turn a pixel into a ray.
-
-    Attributes
-    ----------
-    skin_radius_mm : float
-        r, the radius of the undeformed skin, centred at O.
-    camera_distance_mm : float or None
-        d: the lens is at (0, 0, -d). None means the paper's orthographic camera.
-    visible_half_angle_deg : float
-        θ of the visible circle, measured at O from +z.
-    disc : Disc
+    """Skin, camera and visible circle. `skin_radius_mm` is r of the undeformed skin, centred at O; `camera_distance_mm`
+    d, for a lens at (0, 0, -d) (None: the paper's orthographic camera); `visible_half_angle_deg` θ of the visible
+    circle, at O from +z.
     """
 
     skin_radius_mm: float

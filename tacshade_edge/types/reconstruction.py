@@ -21,7 +21,6 @@ QUANTITIES = (
 @frozen
 class HeightMap:
     """Radial deformation on a grid of the image; grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
-
     `height_mm`, float32 (rows, cols), is h, positive inwards, of the deformed skin point that the pixel's ray meets, or
     NaN outside the disc; `contact`, bool (rows, cols), is where the skin touches an object.
     """
@@ -43,8 +42,7 @@ class ObjectCloud:
 
 class Need(Flag):
     """How much of a frame is requested: shear and the error of depth include depth, a touch includes shear and depth.
-
-    Every bit has a name, hence the ``ONLY`` members: Python 3.11.2 (Debian 12) drops unnamed bits from a union.
+    Every bit has a name (``ONLY``): Python 3.11.2 (Debian 12) drops unnamed bits from a union.
     """
 
     CONTACT = 0
@@ -68,32 +66,14 @@ class Slip(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class TouchedObject:
-    """One connected contact.
+    """One connected contact, in order of area from label 1; lengths in mm, in the sensor frame.
 
-    Attributes
-    ----------
-    label : int
-        From 1; the greatest area comes first.
-    centroid_mm, extent_mm : (float, float, float)
-        Mean, and max - min, of the object's points.
-    depth_max_mm : float
-        Greatest h of the object.
-    area_mm2 : float
-    normal : (float, float, float)
-        Unit normal of the plane through its points, away from the camera.
-    shear_mm : (float, float) or None
-        Mean shear along x and y of the skin that the object touches; None if the solver reports none.
-    twist_deg : float or None
-        Angle about z, from x towards y, of the least-squares rotation of that skin; None also for a tiny contact.
-    strain_mm : float or None
-        Root mean square of the motion that shear and rotation leave unexplained: 0 for skin that is held.
-    id : int or None
-        The same from frame to frame while the object touches; None for a single image, as are the attributes below.
-    slip : Slip or None
-    slip_mm_s : float or None
-        Speed of the object's imprint over the skin.
-    margin : float or None
-        Margin before the object slips: 1 is firm, 0 is sliding (`core.contact.tracking`).
+    `centroid_mm` and `extent_mm` are mean, and max - min, of its points, `depth_max_mm` its greatest h, `normal` that
+    of the plane through its points, away from the camera. `shear_mm` is the mean shear of its skin (None if the solver
+    reports none), `twist_deg` the angle about z, from x towards y, of that skin's rotation (None also for a tiny
+    contact), `strain_mm` the RMS of the rest, 0 for skin that is held. None for a single image: `id`, the same while
+    the object touches, `slip`, `slip_mm_s`, the speed of its imprint over the skin, and `margin` before it slips, from
+    1 (firm) to 0.
     """
 
     label: int
@@ -113,8 +93,8 @@ class TouchedObject:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The touch that a frame shows: value and standard deviation of each quantity, in the unit of its name, or None if
-    the model does not know it; and why it does not know some or all of them.
+    """Value and standard deviation of each quantity, in the unit of its name, or None if the model does not know it;
+    and why not.
     """
 
     values: Mapping[str, float | None] = field(default_factory=dict)
@@ -143,11 +123,9 @@ class Reconstruction:
     # (rows, cols, 2) on the grid of `height`: along x and y, from any cause, of the skin that a cell's ray meets; NaN
     # outside the disc, 0 without contact.
     shear_mm: F32 | None = None
-    sigma_mm: F32 | None = (
-        None  # (rows, cols), standard deviation of `height` in contact, else NaN (`core.depth.sigma`)
-    )
+    sigma_mm: F32 | None = None  # (rows, cols), standard deviation of `height` in contact, else NaN
     untrusted: Bool | None = None  # (rows, cols): cells that do not show the sensor's skin, never contact
-    touch: Touch | None = None  # None also if nobody requested it
+    touch: Touch | None = None  # none also if nobody requested it
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -54,29 +53,6 @@ def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
     assert depth.height_mm.max() == pytest.approx(unharmed.height_mm.max(), rel=0.02)
 
 
-@pytest.mark.parametrize("solver", METHODS)
-def test_outside_the_disc_is_zero(solver: str) -> None:
-    assert not solve(solver, bump(), inside=False).height_mm.any()
-    g_d = bump()
-    inside = np.zeros(g_d.shape, bool)
-    inside[:, :30] = True
-    g0 = np.full(g_d.shape, 120, np.float32)
-    maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=np.where(inside, g_d, np.float32(0)), inside=inside)
-    height = METHODS[solver](maps, ALPHA_MM).height_mm
-    assert not height[~inside].any()
-    assert height[inside].any()
-
-
-@pytest.mark.parametrize("shape", [(40, 50), (41, 51)])
-def test_the_published_iteration_returns_its_input_scaled(shape: tuple[int, int]) -> None:
-    image = np.asarray(bump(*shape, top=1.0), np.float64)
-    z, repaired = iterate(image)
-    flat = cv2.medianBlur(image.astype(np.float32), 3)
-    assert np.corrcoef(z.ravel(), flat.ravel())[0, 1] >= 0.99
-    assert z.max() / image.max() > 1e14  # divided by the machine epsilon
-    assert repaired == 0
-
-
 def test_the_iteration_is_the_literal_one() -> None:
     """Eq. 11 as ref. [20] codes it, written out element by element with Python's complex numbers."""
     image = np.random.default_rng(4).uniform(0.2, 1, (5, 6))
@@ -104,10 +80,6 @@ def test_the_iteration_is_the_literal_one() -> None:
     assert np.median(found) / np.median(median) == pytest.approx(1, rel=1e-3)
 
 
-def test_alpha_is_the_height_of_the_highest() -> None:
-    assert solve("paper", bump()).height_mm.max() == pytest.approx(3.0, rel=1e-6)
-
-
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
 UNIT_MM = 20 * np.sin(np.radians(50))
 
@@ -118,12 +90,6 @@ def test_folding_is_undone_by_unfolding(by: int) -> None:
     folded = fold(maps, by)
     assert folded.shape == (2 * by * by, 24 // by, 24 // by)
     np.testing.assert_array_equal(unfold(folded, by), maps)
-
-
-def test_folding_keeps_neighbours_together() -> None:
-    maps = np.arange(2 * 6 * 6, dtype=np.float32).reshape(2, 6, 6)
-    folded = fold(maps, 2)
-    assert folded[:4, 1, 2].tolist() == [maps[0, 2, 4], maps[0, 2, 5], maps[0, 3, 4], maps[0, 3, 5]]
 
 
 @pytest.mark.parametrize("by", [2, 4])
@@ -151,16 +117,6 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
         np.testing.assert_array_equal(answer.contact_logit, reference + 1)
     with pytest.raises(ValueError, match="read-only"):
         answers[0].height_mm[0, 0] = 1
-
-
-def test_one_frame_does_not_change_the_next() -> None:
-    network = answering(2, lambda known: known[:4], lambda white, sensor: np.concatenate((white, sensor)))
-    inverse = LearnedInverse(network, GEOMETRY, 6.0, np.zeros((disc_map.CELLS,) * 2, np.float32))
-    dark, bright = np.zeros((disc_map.CELLS,) * 2, np.float32), np.ones((disc_map.CELLS,) * 2, np.float32)
-    first = inverse(dark)
-    before = first.height_mm.tobytes()
-    inverse(bright)
-    assert first.height_mm.tobytes() == before == inverse(dark).height_mm.tobytes()
 
 
 def test_shear_is_in_mm_on_the_maps_cells_and_finite() -> None:

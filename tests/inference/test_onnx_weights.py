@@ -1,14 +1,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.inference.network import WEIGHTS, network_files
+from tacshade_edge.inference.network import network_files
 from tacshade_edge.inference.onnx_weights import (
     fields,
     graph_of,
@@ -26,17 +25,6 @@ FAST = network_files("fast")[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_weights_are_those_that_the_provenance_counts(name: str) -> None:
-    """Normalisations are folded in, so a network is stored in a little fewer numbers than were trained."""
-    stored = sum(len(values_of(data)) for data in network_files(name))
-    trained = json.loads((WEIGHTS / f"{name}.json").read_text())["parameters"]
-    assert 0.99 * trained < stored <= trained
-    for data in network_files(name):
-        for weight in weights_of(data):
-            assert weight.end - weight.begin == 4 * np.prod(weight.shape)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_its_own_weights_change_nothing_and_others_not_the_layout(name: str) -> None:
     for data in network_files(name):
         values = values_of(data)
@@ -50,16 +38,12 @@ def test_its_own_weights_change_nothing_and_others_not_the_layout(name: str) -> 
 def test_a_graph_takes_the_weights_of_another_file() -> None:
     """Also weights longer than a length of one byte tells; whoever reads the file finds them in a second graph."""
     graph = graph_of(FAST)
-    nodes = b"".join(message(1, FAST[f.begin : f.end]) for f in fields(FAST, graph.begin, graph.end) if f.number == 1)
+    nodes = b"".join(message(1, FAST[f.begin : f.end]) for f in fields(FAST, graph.begin, graph.end)[1])
     bare = message(7, nodes)
     made = with_weights_of(bare, FAST)
     assert made.startswith(bare)
     assert nodes_of(made) == nodes_of(FAST)
     np.testing.assert_array_equal(values_of(made[len(bare) :]), values_of(FAST))
-
-
-def test_networks_of_another_shape_have_another_layout() -> None:
-    assert len({layout_of(*network_files(name)) for name in NAMES}) == len(NAMES)
 
 
 @pytest.mark.parametrize("count", [-1, 1])
@@ -87,5 +71,5 @@ def test_other_bytes_have_no_weights(data: bytes) -> None:
 
 def test_a_file_that_was_cut_is_refused() -> None:
     for length in range(1, len(FAST), 5011):
-        with pytest.raises(ValueError, match=r"no graph|ends at byte|beyond"):
+        with pytest.raises(ValueError, match=r"no field|ends at byte|beyond"):
             weights_of(FAST[:length])

@@ -69,12 +69,6 @@ def made(profile: str, polarity: Polarity = "bright", binarisation: Binarisation
     return make_reconstructor(calibration(size_for(profile), polarity, binarisation), PROFILES[profile])
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("name", ["constant 255", "checkerboard 8 px", "noise 0", "step, axis 0"])
-def test_an_extreme_frame_is_borne(profile: str, name: str) -> None:
-    sound_step(made(profile), size_for(profile).of(EXTREME_IMAGES[name]))
-
-
 BLENDS = ((0.5, 99), (1.0, 0.5), (0.6, 0.5))
 """Parts and radii."""
 
@@ -112,14 +106,6 @@ def test_any_frame_is_borne(profile: str, maker: Maker, part: float, where: floa
     if over is not None:
         image = np.where(size.of(over) > 127, image, size.image())
     sound_step(always_asked(profile), image)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("binarisation", sorted({*get_args(Binarisation)} - {"adaptive"}))
-def test_other_binarisations_bear_them_too(profile: str, binarisation: Binarisation) -> None:
-    for image in EXTREME_IMAGES.values():
-        sound_step(made(profile, "bright", binarisation), size_for(profile).of(image))
 
 
 @pytest.mark.slow

@@ -12,22 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.examples import examples
-from support.extremes import EXTREME_MAPS
 from support.networks import ALL_TRUSTED
 
 from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.indenters import Ball
-from tacshade_edge.core.contact.objects import BINS, find_objects, two_means_split
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import DiscRays, Grid, cell_area_mm2, disc_rays, skin_points
+from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, disc_rays, skin_points
 from tacshade_edge.core.geometry.disc_map import CELLS
-from tacshade_edge.studies.evaluate.score import contact_iou, score_cloud
+from tacshade_edge.studies.evaluate.score import score_cloud
 from tacshade_edge.types import F32, Disc, Geometry
 
 clouds = arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32))
 BALL = Ball(0.0, 0.0, 23.0, 5.0)
-finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
 @pytest.mark.slow
@@ -41,20 +38,6 @@ def test_any_clouds_have_finite_scores(found: F32, true: F32, h_max_mm: float) -
     # float32 points in float64 distances.
     direct = np.linalg.norm(found[:, None].astype(np.float64) - true[None].astype(np.float64), axis=-1)
     assert score.me_mm == pytest.approx(direct.min(axis=1).mean(), rel=1e-9, abs=1e-9)
-
-
-def test_a_point_is_no_distance_from_itself_however_far_out() -> None:
-    for scale in (1e-45, 1.0, 1e18):
-        points = (np.eye(3) * scale).astype(np.float32)
-        score = score_cloud(points, points, 1.0)
-        assert (score.me_mm, score.sd) == (0.0, 1.0)
-
-
-def test_contacts_of_nothing_and_everything() -> None:
-    nothing, everything = np.zeros((4, 5), bool), np.ones((4, 5), bool)
-    assert contact_iou(nothing, nothing) == contact_iou(everything, everything) == 1.0
-    assert contact_iou(nothing, everything) == 0.0
-    assert contact_iou(np.zeros((0, 0), bool), np.zeros((0, 0), bool)) == 1.0
 
 
 def inverse_of(height_mm: float, bad: float | None = None) -> Inverse:
@@ -77,74 +60,6 @@ def test_a_factor_is_in_its_range_whatever_the_network_said(
     factor = refit.fit_factor([rows] * refit.LEAST_PRESSES)
     assert factor is not None
     assert refit.FACTOR_RANGE[0] <= factor <= refit.FACTOR_RANGE[1]
-
-
-def within(values: F32, threshold: float) -> float:
-    """Sum of squares within the two clusters of a threshold, in parts of the values' range squared."""
-    unit = values.astype(np.longdouble) / (np.longdouble(values.max()) - np.longdouble(values.min()))
-    parts = (unit[values <= threshold], unit[values > threshold])
-    return sum(float(((part - part.mean()) ** 2).sum()) for part in parts if part.size)
-
-
-@pytest.mark.slow
-@given(values=arrays(np.float32, st.integers(1, 200), elements=finite))
-@examples(300)
-def test_any_finite_values_are_split_as_well_as_bins_allow(values: F32) -> None:
-    threshold = two_means_split(values)
-    assert two_means_split(values) == threshold
-    if values.min() == values.max():
-        assert threshold == float("inf")
-        return
-    # Neither cluster is empty, though a bin is all that a threshold is known by.
-    assert values.min() <= threshold <= values.max()
-    ordered = np.unique(values)
-    best = min(within(values, float(split)) for split in ordered[:-1])
-    assert within(values, threshold) <= best + 2 * values.size / BINS
-
-
-@pytest.mark.parametrize("values", [(0.0, -1e-45), (1.0, 1.0000001), (-1e-45, 0.0, 1e-45)])
-def test_values_with_none_between_are_split(values: tuple[float, ...]) -> None:
-    given = np.array(values, np.float32)
-    assert 0 < np.count_nonzero(given > two_means_split(given)) < given.size
-
-
-@pytest.mark.parametrize("name", EXTREME_MAPS)
-@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
-def test_every_extreme_map_is_split(name: str, scale: float) -> None:
-    values = (EXTREME_MAPS[name](40, 50) * np.float32(scale)).ravel()
-    threshold = two_means_split(values)
-    if values.min() == values.max():
-        assert threshold == float("inf")
-    else:
-        assert float(values.min()) <= threshold <= float(values.max())
-        assert 0 < np.count_nonzero(values > threshold) < values.size
-
-
-@pytest.mark.slow
-@given(
-    height=arrays(np.float32, (20, 22), elements=st.floats(0, 20, width=32)),
-    touched=arrays(bool, (20, 22)),
-    distance_mm=st.none() | st.floats(0, 1000, exclude_min=True),
-    radius_px=st.floats(1, 1000),
-)
-@examples(150)
-def test_any_heights_are_described(
-    height: F32, touched: np.ndarray, distance_mm: float | None, radius_px: float
-) -> None:
-    geometry = Geometry(20.0, distance_mm, 50.0, Disc(9.5, 10.5, radius_px))
-    rays = disc_rays(Grid(20, 22, 0.0, 0.0, 1.0), geometry)
-    touched = touched & rays.inside
-    map_mm = np.where(rays.inside, height, np.float32(np.nan))
-    found = find_objects(touched, map_mm, None, rays, geometry)
-    if found is None:
-        return
-    assert not (found.contact & ~touched).any()
-    assert np.isfinite(found.cloud.points_mm).all()
-    assert len(found.cloud.labels) == found.contact.sum()
-    # A cell's area is at most that of the parallelogram of two steps across the whole skin.
-    assert 0 <= found.volume_mm3 <= 20 * 40 * 40 * found.contact.sum()
-    areas = [touch.area_mm2 for touch in found.described]
-    assert areas == sorted(areas, reverse=True)
 
 
 Precise = npt.NDArray[np.longdouble]

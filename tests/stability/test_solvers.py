@@ -12,17 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from support.built_sensor import built_calibration
 from support.examples import examples
-from support.extremes import BEYOND, EXTREME_IMAGES, EXTREME_MAPS, any_maps, checkerboard, makers, shapes
+from support.extremes import BEYOND, EXTREME_MAPS, any_maps, checkerboard, makers, shapes
 
 from tacshade_edge.core.depth import Depth, hybrid_sfs
-from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
 from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.greyscale import chambolle, denoise_tv, normalise, shape_grey, white_ratio
-from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
-from tacshade_edge.core.image.white import BoxSums, CellMeans, Integrator, binarise
+from tacshade_edge.core.image.greyscale import chambolle, normalise, shape_grey, white_ratio
+from tacshade_edge.core.image.preprocess import GreyMaps
+from tacshade_edge.core.image.white import BoxSums, Integrator, binarise
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F32, F64, U8, Binarisation, Bool, Disc
 
@@ -53,23 +51,6 @@ def sound_depth(solver: str, maps: GreyMaps, alpha_mm: float) -> Depth:
     assert again.repaired_px == depth.repaired_px
     assert tuple(m.tobytes() for m in (maps.g, maps.g0, maps.g_d, maps.inside)) == before
     return depth
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", METHODS)
-@pytest.mark.parametrize("shape", [(1, 1), (1, 64), (64, 1), (8, 8), (61, 64)])
-def test_every_extreme_map_is_borne(solver: str, shape: tuple[int, int]) -> None:
-    disc = np.hypot(*np.indices(shape)) < 40
-    for g_d in EXTREME_MAPS.values():
-        for inside in (True, False, disc):
-            sound_depth(solver, maps_of(g_d(*shape), inside=inside), ALPHA_MM)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", METHODS)
-@pytest.mark.parametrize("name", ["noise 0", "checkerboard 2 px", "step, axis 0", "white spike", "ramp, axis 1"])
-def test_a_whole_image_is_borne(solver: str, name: str) -> None:
-    sound_depth(solver, maps_of(EXTREME_MAPS[name](480, 640)), ALPHA_MM)
 
 
 @pytest.mark.parametrize("solver", METHODS)
@@ -149,20 +130,6 @@ def sound(image: F32, weight: float) -> F32:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("weight", WEIGHTS)
-@pytest.mark.parametrize("shape", [(1, 1), (1, 64), (8, 8), (61, 64)])
-def test_every_extreme_map_is_denoised(weight: float, shape: tuple[int, int]) -> None:
-    for image in EXTREME_MAPS.values():
-        sound(to_unit(image(*shape)), weight)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("weight", [p.tv_weight for p in PROFILES.values() if p.tv_weight > 0])
-def test_a_whole_image_is_denoised(weight: float) -> None:
-    sound(to_unit(EXTREME_MAPS["noise 0"](480, 640)), weight)
-
-
-@pytest.mark.slow
 @given(
     image=arrays(np.float32, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.floats(-1, 2, width=32)),
     weight=st.sampled_from(WEIGHTS),
@@ -193,12 +160,6 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     off = float(np.abs(found - precise).max())
     print(f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64")
     assert off < LONG_BOUND
-
-
-@pytest.mark.parametrize("weight", WEIGHTS)
-def test_nothing_seen_is_nothing_changed(weight: float) -> None:
-    g = EXTREME_MAPS["normal noise"](9, 11)
-    assert np.array_equal(denoise_tv(g, np.zeros(g.shape, bool), weight), g)
 
 
 ROWS, COLS = 96, 128
@@ -259,45 +220,3 @@ def test_any_image_is_black_and_white_inside_the_disc_and_black_outside(
     assert not white[mask == 0].any()
     outside_changed = np.where(mask > 0, image, 255 - image)
     assert np.array_equal(binarise(outside_changed, mask, method, pitch_px), white)
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-def test_every_extreme_image_has_ratios(profile: str) -> None:
-    preprocessor = Preprocessor(built_calibration(ROWS, COLS, disc=DISC, pitch_px=8.0), PROFILES[profile])
-    cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(DISC))
-    for image in EXTREME_IMAGES.values():
-        found = preprocessor.preprocess(np.ascontiguousarray(image(ROWS, COLS)))
-        g, cells = preprocessor.ratio(found.white), cells_of.means(found.white)
-        assert 0 <= found.unseen <= 1
-        assert np.isfinite(g).all()
-        assert (g >= 0).all()
-        assert (g <= 255 * (1 + 1e-6)).all()
-        assert (cells >= -1e-4).all()
-        assert (cells <= 1 + 1e-4).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", [1, 255])
-def test_the_largest_image_has_exact_means(level: int) -> None:
-    """4096x3072 of 255 is more than int32 holds."""
-    disc = Disc(1535.5, 2047.5, 1535.0)
-    rng = np.random.default_rng(1)
-    values = rng.integers(0, level + 1, (3072, 4096), np.uint8)
-    grid, integrator = disc_map.map_grid(disc), Integrator(Window(0, 0, 3072, 4096), 0)
-    found = CellMeans(integrator, grid).means(integrator.integrate(values))
-    step = grid.step_px
-    total = np.pad(values.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-
-    def edges(first: float, count: int, size: int) -> F64:
-        return np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size)
-
-    def at(axis_values: F64, edge: F64) -> F64:
-        low = np.minimum(edge.astype(int), len(axis_values) - 2)
-        part = (edge - low)[:, None]
-        return axis_values[low] * (1 - part) + axis_values[low + 1] * part
-
-    rows = np.diff(at(total, edges(grid.row0, grid.rows, 3072)), axis=0)
-    both = np.diff(at(rows.T.copy(), edges(grid.col0, grid.cols, 4096)), axis=0).T
-    off = float(np.abs(found - both / step**2).max()) / level
-    print(f"figure: means over the network's cells of a 4096x3072 image up to {level}: {off:.0e} of it off at most")
-    assert off < 1e-4

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.core.depth import Network, NetworkMaps, ShearNetwork
+from tacshade_edge.core.depth import Network
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference import network
 from tacshade_edge.inference.network import (
@@ -20,7 +20,7 @@ from tacshade_edge.inference.network import (
     load_networks,
     network_files,
     read_network,
-    read_shear,
+    read_part,
     shipped_layout,
 )
 from tacshade_edge.inference.onnx_weights import values_of
@@ -29,25 +29,24 @@ from tacshade_edge.types import F32, Calibration, FittedNetwork
 ALL_TRUSTED = np.full((28, 28), -9, np.float32)
 
 
-def displaced(white: F32, sensor: F32) -> F32:
+def displaced(*given: object) -> list[F32]:
     """0.3 tenths of the disc's radius along x, NaN at one cell."""
     shear = np.stack((np.full((28, 28), 0.3, np.float32), np.zeros((28, 28), np.float32)))
     shear[0, 14, 14] = np.nan
-    return shear
+    return [shear]
 
 
-DISPLACED = ShearNetwork(4, 112, lambda known: known, displaced)
+DISPLACED = Network(4, 112, lambda known: known, displaced)
 
 
 def answering(fold: int, sense: Callable[[F32], F32], run: Callable[[F32, F32], F32]) -> Network:
     """Make one of a function of its own; every cell is trusted, and the skin is `displaced`."""
-    return Network(fold, sense, lambda white, sensor: NetworkMaps(run(white, sensor), ALL_TRUSTED), DISPLACED)
+    return Network(fold, 112, sense, lambda white, sensor, _: [run(white, sensor), ALL_TRUSTED[None]], DISPLACED)
 
 
 def saying(depth_and_contact: F32, untrusted: F32 = ALL_TRUSTED) -> Network:
     """Make one of 4x4 folded maps that says the same of every frame; the skin is `displaced`."""
-    maps = NetworkMaps(depth_and_contact, untrusted)
-    return Network(4, lambda known: known, lambda white, sensor: maps, DISPLACED)
+    return Network(4, 112, lambda known: known, lambda *given: [depth_and_contact, untrusted[None]], DISPLACED)
 
 
 def float_network(name: str, folder: Path) -> Network:
@@ -55,9 +54,9 @@ def float_network(name: str, folder: Path) -> Network:
     return read_network(_without_integers(name, folder))
 
 
-def float_shear(folder: Path) -> ShearNetwork:
+def float_shear(folder: Path) -> Network:
     """That of shear."""
-    return read_shear(_without_integers("shear", folder))
+    return read_part(_without_integers("shear", folder))
 
 
 def _without_integers(name: str, folder: Path) -> Path:

@@ -1,6 +1,6 @@
 """Compute depth from a preprocessed image: a new solver is one file here and one line in `SOLVERS`."""
 
-from tacshade_edge.core.depth.base import Depth, MakeSolver, Network, NetworkMaps, ShearNetwork, Solver
+from tacshade_edge.core.depth.base import Depth, MakeSolver, Network, Solver
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import SigmaModel
@@ -10,4 +10,4 @@ SOLVERS: dict[str, MakeSolver] = {
     "learned": LearnedSolver,
 }
 
-__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "NetworkMaps", "ShearNetwork", "SigmaModel", "Solver"]
+__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "SigmaModel", "Solver"]

@@ -1,8 +1,6 @@
 """Solve eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
 
-A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of eq. 12 is
-zero wherever p = -q, which includes every flat. The iteration then divides by the machine epsilon, and its result is a
-scaled copy of the grey image (docs/explanation/numerics.md has the figures).
+A fidelity reference, not a good method: its result is a scaled copy of the grey image (docs/explanation/numerics.md).
 """
 
 from __future__ import annotations
@@ -30,11 +28,9 @@ def _backward(z: C128, axis: int) -> C128:
 
 def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
     """Run 25 iterations of eq. 11 from the initialisation of ref. [20] on g_hn (0 to 1; any value is accepted), and
-    take the 3x3 median of |Z|: finite, in pixels of arbitrary scale, with the number of values repaired.
-
-    The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and shows its
-    result upside down; this keeps the first, not the second. The denominators |N·L| of eqs. 4, 7 and 8 are read as
-    |N||L|: as printed, the quotient could only be 1 or -1.
+    take the 3x3 median of |Z|: finite, in pixels of arbitrary scale, with the number of values repaired. p and q start
+    as the Fourier transforms of the image gradient, as in the reference code. The denominators |N·L| of eqs. 4, 7 and 8
+    are read as |N||L|: as printed, the quotient could only be 1 or -1.
     """
     from scipy.ndimage import median_filter  # only `paper` needs it
 
@@ -74,9 +70,7 @@ def _iterate(image: C128) -> C128:
 
 
 def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """The paper's height: g_hn (eq. 10), eq. 11, then α, the depth for a normalised height of 1. Grey beyond its range
-    is clipped.
-    """
+    """The paper's height: g_hn (eq. 10), eq. 11, then α, the depth for a normalised height of 1."""
     g_hn, bad = finite_shape_grey(maps)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
     # The iteration turns an image without contrast into a constant, which is not a height.
@@ -118,7 +112,6 @@ class HybridSfs:
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
-        """See `Solver`."""
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
         return self._depth(maps, self._alpha_mm)

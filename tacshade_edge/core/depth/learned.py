@@ -1,35 +1,30 @@
-"""Compute height and contact from the white of the image and the unloaded skin by a learned inverse.
+"""Compute height, contact and shear from the white of the image and the unloaded skin by learned inverses.
 
-The network is trained on simulated sensors alone (tools/training). It sees every sensor on the same square of cells
-(`core.geometry.disc_map`), with what is known of it; its heights are in tenths of the disc's radius. The caller chooses
-how to run it (`inference.network` uses ONNX Runtime).
-
-Compute the skin's tangential shear by a separate network, trained like that of depth (`learned`).
-
-It runs in addition to depth on request, one for all profiles, and shares nothing with the network of depth, which needs
-all its few channels for depth.
+The networks are trained on simulated sensors alone (tools/training). They see every sensor on the same square of cells
+(`core.geometry.disc_map`), with what is known of it; lengths are in tenths of the disc's radius. The network of shear,
+one for all profiles, runs on request and shares nothing with that of depth, which needs all its few channels. The
+caller chooses how to run them (`inference.network` uses ONNX Runtime).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import cast
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import Depth, Features, Mark, Network, NetworkMaps, ShearNetwork
+from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.types import F32, Bool, Geometry, frozen
 
-KNOWN = 6
-"""Number of maps of `disc_map.geometry_maps`."""
+KNOWN = 6  # number of maps of `disc_map.geometry_maps`
 
-HEIGHT_SCALE = 10.0
-"""Number of the networks' units of length in the disc's radius."""
+HEIGHT_SCALE = 10.0  # number of the networks' units of length in the disc's radius
 # On a skin of 20 mm the training presses end at 6.5 mm; deeper ones read 6.2 to 6.9.
 DEEPEST_RADII = 0.31
 
@@ -62,25 +57,16 @@ def unfold(maps: F32, by: int) -> F32:
 
 
 class _Prepared:
-    """A network prepared for one sensor; `reference_white` is the share of white of the unloaded skin on
-    `disc_map.map_grid`.
-    """
+    """A network prepared for one sensor, from the share of white of the unloaded skin on `disc_map.map_grid`."""
 
-    def __init__(
-        self, network: Network | ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32
-    ) -> None:
+    def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
-    def _run(self, white: F32, features: Features | None) -> Any:
+    def _run(self, white: F32, features: Features | None) -> Sequence[F32]:
         """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
-        folded = fold(white[None], self._network.fold)
-        if features is None or self._network.run_touch is None:
-            return self._network.run(folded, self._sensor)
-        found, some = self._network.run_touch(folded, self._sensor)
-        features.append(some)
-        return found
+        return self._network.run(fold(white[None], self._network.fold), self._sensor, features)
 
 
 class LearnedShear(_Prepared):
@@ -88,7 +74,7 @@ class LearnedShear(_Prepared):
 
     def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
         """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N)."""
-        coarse = np.ascontiguousarray(np.moveaxis(self._run(white, features), 0, 2))
+        coarse = np.ascontiguousarray(np.moveaxis(self._run(white, features)[0], 0, 2))
         if not np.isfinite(coarse).all():
             coarse = np.nan_to_num(coarse, posinf=0.0, neginf=0.0)
         coarse *= self._mm
@@ -97,9 +83,8 @@ class LearnedShear(_Prepared):
 
 @frozen
 class Inverse:
-    """The network's result for a frame: height h, sometimes slightly below 0 without contact, and the log odds of
-    contact at the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows something other than this
-    sensor's skin.
+    """The network's result for a frame: h, sometimes slightly below 0 without contact, and the log odds of contact at
+    the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows something other than this sensor's skin.
     """
 
     height_mm: F32
@@ -112,21 +97,21 @@ class LearnedInverse(_Prepared):
 
     def __call__(self, white: F32, features: Features | None = None) -> Inverse:
         """The result for a frame's white, float32 (cells, cells), 0 to 1."""
-        maps: NetworkMaps = self._run(white, features)
-        height, logit = unfold(maps.depth_and_contact, self._network.fold)
-        return Inverse(height * self._mm, logit, maps.untrusted)
+        maps, untrusted = self._run(white, features)
+        height, logit = unfold(maps, self._network.fold)
+        return Inverse(height * self._mm, logit, untrusted[0])
 
 
 class LearnedSolver:
     """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's cells; `reference`
-    is the share of white of the unloaded skin, as the network receives it. ValueError without a network.
+    is the share of white of the unloaded skin. ValueError without a network.
     """
 
     has_shear = True
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
         camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
-        if network is None:
+        if network is None or network.shear is None:
             raise ValueError(f"profile {profile.name} needs a network")
         self.grid = disc_map.map_grid(camera.geometry.disc, profile.cells)
         self._inside = rays_in_image(self.grid, camera).inside
@@ -152,7 +137,6 @@ class LearnedSolver:
         return self._cells.means(preprocessed.white)
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
-        """See `Solver`."""
         inverse = self.inverse(preprocessed, features)
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)
@@ -175,7 +159,6 @@ class LearnedSolver:
         )
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
-        """See `Solver`."""
         return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows, features)
 
 

@@ -1,24 +1,17 @@
 """Compute a frame's touch by the calibration's model, or without one from height map and shear.
 
-Predict a few numbers, each with a standard deviation, from the features of a frame.
+Principal components of the networks' pooled activations enter a Gaussian process with a linear and a
+squared-exponential kernel, reduced to few centres, so that a frame costs two small matrix products (subset of
+regressors: Rasmussen and Williams, Gaussian Processes for Machine Learning, MIT Press, 2006, section 8.3).
 
-The features are pooled activations of the networks (`inference.network.touch_networks`). Their principal components
-enter a Gaussian process with a linear and a squared-exponential kernel, reduced to few enough centres that a frame
-costs two small matrix products (subset of regressors: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for
-Machine Learning, MIT Press, 2006, section 8.3). `learning` fits it in closed form.
-
-Check that the imprint of a height map fits the numbers that a touch model predicts.
-
-Pooled features of a ball's and a plate's imprint are alike, so a model of plates accepts a ball, and is wrong. Their
-depth, area, volume and length differ: over the labelled table each is a quadratic function of the predicted numbers,
-and a frame far from it shows another object.
+Features of a ball's and a plate's imprint are alike, but their depth, area, volume and length differ: over the labelled
+table each is a quadratic function of the predicted numbers, and a frame far from it shows another object.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -26,16 +19,12 @@ import numpy as np
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, F64, Touch, TouchedObject, TouchModel
 
-CLIP = 6.0
-"""Limit of a standardised feature; more carries no information."""
-LINEAR = 0.5
-"""Square root of the linear kernel's weight relative to the squared-exponential one."""
-LEVERAGE_COMPONENTS = 64
-"""Components used for the leverage; more are noise of few frames."""
+CLIP = 6.0  # limit of a standardised feature; more carries no information
+LINEAR = 0.5  # square root of the linear kernel's weight relative to the squared-exponential one
+LEVERAGE_COMPONENTS = 64  # components used for the leverage; more are noise of few frames
 
 Floats = TypeVar("Floats", F32, F64)
-MARGIN = 1.645
-"""A value this many standard deviations beyond the labelled range is an extrapolation."""
+MARGIN = 1.645  # A value this many standard deviations beyond the labelled range is an extrapolation
 
 PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
 """Names of the quantities that need no labels."""
@@ -45,8 +34,7 @@ PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 0.42, 2.9; other objects and real skins are worse."""
 
 
-NO_IMPRINT = np.full(4, np.nan, np.float32)
-"""Stands for the imprint of a frame without contact in a table."""
+NO_IMPRINT = np.full(4, np.nan, np.float32)  # of a frame without contact, in a table
 
 
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
@@ -73,17 +61,10 @@ def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
     return bool(left @ model.imprint_precision @ left <= model.imprint_max)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """A model's answer (Q,) to one frame's features, and whether the frame is like those of the table."""
-
-    values: F64
-    sigma: F64
-    alike: bool
-
-
-def predict(model: TouchModel, features: F32) -> Prediction:
-    """Predict the quantities of a frame from its features, float32 (D,)."""
+def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
+    """Predict the quantities (Q,) of a frame from its features, float32 (D,), and their standard deviations; and
+    whether the frame is like those of the table.
+    """
     standard = standardised(features, model.mean, model.deviation)
     at = standard @ model.components
     near = kernel_values(at[None], model.centres, model.width)[0]
@@ -92,7 +73,7 @@ def predict(model: TouchModel, features: F32) -> Prediction:
     spread = 1 + (values * values) @ model.precision + unreached(at[None], values[None]) / model.ridge
     alike = leverage(at[None], model.spread)[0] <= model.leverage_max
     alike = alike and residual(standard[None], at[None], model.scale)[0] <= model.residual_max
-    return Prediction(mean.astype(np.float64), (model.noise * np.sqrt(spread)).astype(np.float64), bool(alike))
+    return mean.astype(np.float64), (model.noise * np.sqrt(spread)).astype(np.float64), bool(alike)
 
 
 def standardised(features: F32, mean: F32, deviation: F32) -> F32:
@@ -134,30 +115,20 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32 | None) -> Tou
     None if the height map shows no contact. Values beyond the labelled range have an interval that reaches back to it;
     those farther off than the range is wide are unknown.
     """
-    found = predict(model, features)
-    alike = found.alike and (imprint is None or belongs(model, found.values, imprint))
-    if not alike:
+    values, sigma, alike = predict(model, features)
+    if not alike or (imprint is not None and not belongs(model, values, imprint)):
         unknown = dict.fromkeys(model.names)
-        text = (
-            "the imprint is unlike the labelled object's imprint"
-            if found.alike
-            else "the frame is unlike any labelled frame"
-        )
-        return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
-    beyond = np.maximum(np.maximum(model.low - found.values, found.values - model.high), 0)
-    outside = beyond > MARGIN * found.sigma
+        whose = "imprint is unlike the labelled object's imprint" if alike else "frame is unlike any labelled frame"
+        return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, f"the {whose}"))
+    beyond = np.maximum(np.maximum(model.low - values, values - model.high), 0)
+    outside, far = beyond > MARGIN * sigma, beyond > model.high - model.low
     names = [name for name, out in zip(model.names, outside, strict=True) if out]
-    sigma = np.where(outside, np.hypot(found.sigma, beyond), found.sigma)
-    far = beyond > model.high - model.low
-
-    def named(numbers: F64) -> dict[str, float | None]:
-        return {n: None if gone else float(x) for n, gone, x in zip(model.names, far, numbers, strict=True)}
-
-    return Touch(
-        named(found.values),
-        named(sigma),
-        Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}") if names else None,
+    reason = Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}") if names else None
+    known, error = (
+        {name: None if gone else one for name, gone, one in zip(model.names, far, each.tolist(), strict=True)}
+        for each in (values, np.where(outside, np.hypot(sigma, beyond), sigma))
     )
+    return Touch(known, error, reason)
 
 
 def touch_without_labels(objects: Sequence[TouchedObject], shear_mm: tuple[float, float] | None) -> Touch:

@@ -1,8 +1,7 @@
 """Learn the touch model in closed form from a table of labelled frames: no gradient descent, no random numbers.
 
 Kernel width and regularisation minimise the error on held-out groups of frames, which a linear model gives without
-another fit (C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press, 2006, eq. 5.12 for
-one frame, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
+another fit (Rasmussen and Williams, 2006, eq. 5.12, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
 """
 
 from __future__ import annotations
@@ -12,61 +11,39 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.touch.answer import (
-    kernel_values,
-    leverage,
-    residual,
-    standardised,
-    terms,
-    unreached,
-)
+from tacshade_edge.core.touch.answer import kernel_values, leverage, residual, standardised, terms, unreached
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
 COMPONENTS = 128
 CENTRES = 1000
-FUNCTIONS = 350
-"""Number of basis functions with an individual variance. With these a model takes at most 3.8 MB in a file."""
-WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)
-"""Kernel widths to try, relative to the root mean square of a frame's coordinates."""
+FUNCTIONS = 350  # basis functions with an individual variance: a model takes at most 3.8 MB in a file
+WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)  # kernel widths to try, relative to the root mean square of a frame's coordinates
 RIDGES = np.logspace(-3, 3, 25)
 LEAST_ROWS = 40
-LEAST_GROUPS = 5
-"""Least number of groups with a quantity: the prediction of a held-out press needs others."""
-FOLDED_ROWS = 1000
-"""Most rows of a table whose held-out frames are left out of the components too; larger ones include them."""
+LEAST_GROUPS = 5  # least number of groups with a quantity: the prediction of a held-out press needs others
+FOLDED_ROWS = 1000  # in a larger table, held-out frames are not left out of the components
 FOLDS = 10
-SEEN_ERRORS = 2.0
-"""Least held-out R² of a seen quantity, in standard deviations of chance, 1 / √n; also at least `SEEN`."""
+SEEN_ERRORS = 2.0  # least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`
 SEEN = 0.1
 Z_90 = 1.645
-ANOTHER = 3.0
-"""An imprint is another object's beyond this multiple of the 95th percentile of held-out squared distances, which a
-torn map in the table does not widen."""
+ANOTHER = 3.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile
 IMPRINT_RIDGE = 3.0
-LEAST_DEVIATION = 1e-3
-"""Least deviation of an imprint's number over the table, in mm, and least held-out variance relative to the table's."""
-UNLIKE = 1.5
-"""A frame is unlike the table beyond this multiple of the 99th percentile of held-out frames."""
-CONTRADICTS = 5.0
-"""A row contradicts the others if its held-out residual exceeds this many robust standard deviations."""
+LEAST_DEVIATION = 1e-3  # of an imprint's number over the table, in mm, and of held-out variance relative to the table's
+UNLIKE = 1.5  # a frame is unlike the table beyond this multiple of the 99th percentile of held-out frames
+CONTRADICTS = 5.0  # a row contradicts the others if its held-out residual exceeds this many robust standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityReport:
-    """The quality of the answers for held-out frames: the number of labelled rows, the mean absolute error, R², the
-    part of the labels in the 90 % interval, the errors expected with twice and four times the labels (by the error's
-    power law in their number), whether the model answers the quantity, and the rows that contradict the others.
-    """
+    """The quality of the answers for held-out frames."""
 
     name: str
-    rows: int
-    error: float
+    rows: int  # with a label
+    error: float  # mean absolute
     r2: float
-    coverage_90: float
-    error_twice: float
-    error_four_times: float
-    seen: bool
-    contradicting: tuple[int, ...]
+    coverage_90: float  # part of the labels in the 90 % interval
+    seen: bool  # the model answers the quantity
+    contradicting: tuple[int, ...]  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,15 +103,6 @@ class _Solved:
         return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Imprint:
-    """See `TouchModel.imprint_weights`, `imprint_precision` and `imprint_max`."""
-
-    weights: F64
-    precision: F64
-    most: float
-
-
 def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
     """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, and labels (n, Q), NaN if a frame
     has none; each quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a
@@ -148,20 +116,24 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
         errors = [np.mean(one.residuals**2) / _variance(labels[one.rows, q]) for q, one in enumerate(solved)]
         tried.append((float(np.mean(errors)), basis, solved))
     _, basis, solved = min(tried, key=lambda one: one[0])
-    limits, solved = _judged(features, labels, groups, basis.width, solved)
+    (leverage_max, residual_max), solved = _judged(features, labels, groups, basis.width, solved)
     if len(features) > FOLDED_ROWS:
         solved = [_as_others(basis, space.at, one) for one in solved]
     # The table's own frames are like the table.
     own = float(leverage(space.at, space.spread.astype(np.float64)).max())
-    reports = tuple(_report(name, basis, labels[:, q], groups, solved[q]) for q, name in enumerate(names))
+    reports = tuple(_report(name, labels[:, q], solved[q]) for q, name in enumerate(names))
     kept = [q for q, report in enumerate(reports) if report.seen]
     if not kept:
         return LearntTouch(None, reports)
-    parts = [len(solved[q].rows) / len(features) for q in kept]
     low, high = (ends(labels[:, kept], axis=0).astype(np.float32) for ends in (np.nanmin, np.nanmax))
-    values = np.stack([_held_out_values(basis, labels[:, q], solved[q]) for q in kept], axis=1)
+    chosen = [solved[q] for q in kept]
+    # Predictions from the other groups for each labelled row, and from the model for the rest.
+    values = np.stack([one.offset + basis.values @ one.weights for one in chosen], axis=1)
+    for k, (q, one) in enumerate(zip(kept, chosen, strict=True)):
+        values[one.rows, k] = labels[one.rows, q] - one.residuals
     touching = np.isfinite(imprints[:, 0])
-    imprint = _imprint(imprints[touching].astype(np.float64), terms(values[touching], low, high), groups[touching])
+    imprinted = imprints[touching].astype(np.float64)
+    weights, precision, most = _imprint(imprinted, terms(values[touching], low, high), groups[touching])
     model = TouchModel(
         names=tuple(names[q] for q in kept),
         networks=networks,
@@ -173,21 +145,18 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
         centres=basis.centres.astype(np.float32),
         width=basis.width,
         basis=basis.matrix[:, -FUNCTIONS:].astype(np.float32),
-        weights=np.stack([basis.matrix @ solved[q].weights for q in kept], axis=1).astype(np.float32),
-        precision=np.stack(
-            [1 / (basis.power[-FUNCTIONS:] * part + solved[q].ridge) for q, part in zip(kept, parts, strict=True)],
-            axis=1,
-        ).astype(np.float32),
-        ridge=np.array([solved[q].ridge for q in kept], np.float32),
-        offset=np.array([solved[q].offset for q in kept], np.float32),
-        noise=np.array([solved[q].noise for q in kept], np.float32),
+        weights=np.stack([basis.matrix @ one.weights for one in chosen], axis=1).astype(np.float32),
+        precision=np.stack([_precision(basis, one) for one in chosen], axis=1).astype(np.float32),
+        ridge=np.array([one.ridge for one in chosen], np.float32),
+        offset=np.array([one.offset for one in chosen], np.float32),
+        noise=np.array([one.noise for one in chosen], np.float32),
         low=low,
         high=high,
-        leverage_max=max(limits[0], 1.01 * own),
-        residual_max=limits[1],
-        imprint_weights=imprint.weights.astype(np.float32),
-        imprint_precision=imprint.precision.astype(np.float32),
-        imprint_max=imprint.most,
+        leverage_max=max(leverage_max, 1.01 * own),
+        residual_max=residual_max,
+        imprint_weights=weights.astype(np.float32),
+        imprint_precision=precision.astype(np.float32),
+        imprint_max=most,
     )
     return LearntTouch(model, reports)
 
@@ -247,23 +216,22 @@ def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
     offset = float(labels[rows].mean())
     left = labels[rows] - offset
     at = values.T @ left
-    best: tuple[float, float, F64, F64] | None = None
-    for ridge in RIDGES:
-        residuals, variances = _held_out(values, 1 / (power + ridge), left, at, groups[rows])
-        variances = variances + basis.unreached[rows] / ridge
-        error = float(np.mean(residuals**2))
-        if best is None or error < best[0]:
-            best = (error, float(ridge), residuals, variances)
-    assert best is not None
-    weights = at / (power + best[1])
-    return _Solved(rows, best[1], offset, turned @ weights if some else weights, best[2], best[3])
+    tried = [(ridge, *_held_out(values, 1 / (power + ridge), left, at, groups[rows])) for ridge in RIDGES]
+    ridge, residuals, variances = min(tried, key=lambda one: float(np.mean(one[1] ** 2)))
+    weights = at / (power + ridge)
+    variances = variances + basis.unreached[rows] / ridge
+    return _Solved(rows, float(ridge), offset, turned @ weights if some else weights, residuals, variances)
+
+
+def _precision(basis: _Basis, solved: _Solved) -> F64:
+    """Variance of the weight of each of the basis functions that vary most, relative to the noise."""
+    return np.asarray(1 / (basis.power[-FUNCTIONS:] * (len(solved.rows) / len(basis.values)) + solved.ridge))
 
 
 def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
     """Replace the variances by those that the model gives unknown frames; rows that are centres have none."""
     values = basis.values[solved.rows][:, -FUNCTIONS:]
-    precision = 1 / (basis.power[-FUNCTIONS:] * len(solved.rows) / len(at) + solved.ridge)
-    variances = (values * values) @ precision + unreached(at[solved.rows], values) / solved.ridge
+    variances = (values * values) @ _precision(basis, solved) + unreached(at[solved.rows], values) / solved.ridge
     variances[np.isin(solved.rows, _centre_rows(len(at)))] = np.nan
     return replace(solved, variances=variances)
 
@@ -286,18 +254,13 @@ def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tup
     return held, variances
 
 
-def _held_out_values(basis: _Basis, labels: F64, solved: _Solved) -> F64:
-    """Predictions from the other groups for each labelled row, and from the model for the rest."""
-    values = solved.offset + basis.values @ solved.weights
-    values[solved.rows] = labels[solved.rows] - solved.residuals
-    return values
-
-
-def _imprint(imprints: F64, values: F64, groups: I64) -> _Imprint:
-    """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of held-out groups."""
+def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
+    """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of held-out groups: weights,
+    precision and greatest distance of the model (`TouchModel.imprint_weights` and the next).
+    """
     if not len(imprints):  # any imprint belongs
         count = imprints.shape[1]
-        return _Imprint(np.zeros((values.shape[1], count)), np.zeros((count, count)), 1.0)
+        return np.zeros((values.shape[1], count)), np.zeros((count, count)), 1.0
     mean, deviation = imprints.mean(axis=0), np.maximum(imprints.std(axis=0), LEAST_DEVIATION)
     standard = (imprints - mean) / deviation
     power, turned = np.linalg.eigh(values.T @ values)
@@ -312,26 +275,22 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> _Imprint:
     precision = np.linalg.inv(covariance) / off.shape[1]
     distances = ((off @ precision) * off).sum(axis=1)
     most = max(ANOTHER * float(np.quantile(distances, 0.95)), 1e-6)
-    return _Imprint(weights, precision / np.outer(deviation, deviation), most)
+    return weights, precision / np.outer(deviation, deviation), most
 
 
-def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved) -> QuantityReport:
-    residuals = np.abs(solved.residuals)
-    known = labels[solved.rows]
-    error, r2 = float(residuals.mean()), 1 - float(np.mean(residuals**2)) / _variance(known)
-    robust = 1.4826 * float(np.median(residuals))
+def _report(name: str, labels: F64, solved: _Solved) -> QuantityReport:
+    residuals, known = np.abs(solved.residuals), labels[solved.rows]
+    r2 = 1 - float(np.mean(residuals**2)) / _variance(known)
     seen = r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
-    exponent = _exponent(basis, labels, groups, error)
+    contradicts = residuals > CONTRADICTS * 1.4826 * float(np.median(residuals))
     return QuantityReport(
         name=name,
         rows=len(solved.rows),
-        error=error,
+        error=float(residuals.mean()),
         r2=r2,
         coverage_90=_coverage(residuals / np.sqrt(1 + solved.variances)),
-        error_twice=error * 2**-exponent,
-        error_four_times=error * 4**-exponent,
         seen=seen,
-        contradicting=tuple(int(row) for row in solved.rows[residuals > CONTRADICTS * robust]) if seen else (),
+        contradicting=tuple(solved.rows[contradicts].tolist()) if seen else (),
     )
 
 
@@ -340,15 +299,6 @@ def _coverage(scaled: F64) -> float:
     scaled = scaled[np.isfinite(scaled)]
     halves = scaled[::2], scaled[1::2]
     return float(np.mean([np.mean(a <= np.quantile(b, 0.9)) for a, b in (halves, halves[::-1])]))
-
-
-def _exponent(basis: _Basis, labels: F64, groups: I64, error: float) -> float:
-    """Exponent p of error ~ 1 / n^p, from the table and half of its groups; 0 to 0.5, the value for averaged noise."""
-    half = np.where(np.isin(groups, np.unique(groups)[::2]), labels, np.nan)
-    if np.isfinite(half).sum() < LEAST_ROWS // 2:
-        return 0.0
-    residuals = np.abs(_solve(basis, half, groups).residuals)
-    return float(np.clip(np.log2(max(residuals.mean(), 1e-12) / max(error, 1e-12)), 0, 0.5))
 
 
 def _judged(
@@ -379,17 +329,16 @@ def _judged(
                     continue
                 residuals, variances = _of_fold(basis, labels[rest, q], values, at, one.ridge)
                 held_out[q][0][held], held_out[q][1][held] = labels[held, q] - residuals, variances
-    limits = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
+    most = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
+    limits = most[0], most[1]
     if not whole:
-        return (limits[0], limits[1]), list(solved)
-    # A fold may hold out every row with a quantity: then keep the values from `_solve`.
+        return limits, list(solved)
     folded = [
-        (residuals[one.rows], variances[one.rows]) for one, (residuals, variances) in zip(solved, held_out, strict=True)
+        replace(one, residuals=residuals[one.rows], variances=variances[one.rows])
+        for one, (residuals, variances) in zip(solved, held_out, strict=True)
     ]
-    return (limits[0], limits[1]), [
-        replace(one, residuals=residuals, variances=variances) if np.isfinite(residuals).all() else one
-        for one, (residuals, variances) in zip(solved, folded, strict=True)
-    ]
+    # A fold may hold out every row with a quantity: then keep the values from `_solve`.
+    return limits, [a if np.isfinite(a.residuals).all() else b for a, b in zip(folded, solved, strict=True)]
 
 
 def _of_fold(basis: _Basis, labels: F64, values: F64, at: F64, ridge: float) -> tuple[F64, F64]:

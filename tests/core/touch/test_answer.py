@@ -125,10 +125,3 @@ def test_without_labels_tilt_is_about_x_then_about_y(tilt_x_deg: float, tilt_y_d
     assert tuple(touch.values) == PLAIN
     expected = (1.5, tilt_x_deg, tilt_y_deg, 0.5, -0.25, 3.0)
     assert tuple(touch.values.values()) == pytest.approx(expected, abs=1e-9)
-
-
-def test_without_shear_there_is_none() -> None:
-    touch = touch_without_labels((OBJECT,), None)
-    for name in ("shear_x_mm", "shear_y_mm", "twist_deg"):
-        assert touch.values[name] is touch.sigma[name] is None
-    assert touch.values["depth_mm"] == 1.5

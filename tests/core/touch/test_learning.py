@@ -31,26 +31,19 @@ def learnt(features: F32, labels: F64, groups: I64 | None = None, names: tuple[s
     return learn(features, imprints, names, labels, np.arange(len(features)) if groups is None else groups, "n")
 
 
-@pytest.mark.parametrize("rows", [60, 300])
+@pytest.mark.parametrize("rows", [60, 200])
 def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
     found = learnt(*table(rows, 1))
     assert found.model is not None
     features, labels = table(400, 2)
-    answers = [predict(found.model, row) for row in features]
-    values, sigma = (np.array([getattr(one, name) for one in answers]) for name in ("values", "sigma"))
+    values, sigma, alike = map(np.array, zip(*(predict(found.model, row) for row in features), strict=True))
     error = np.abs(values - labels)
     for q, report in enumerate(found.reports):
         assert report.seen
         assert report.error == pytest.approx(error[:, q].mean(), rel=0.3)
-        assert report.error_four_times <= report.error_twice <= report.error
         assert 0.8 < np.mean(error[:, q] < 1.645 * sigma[:, q]) < 0.97
         assert 0.8 < report.coverage_90 < 0.97
-    assert np.mean([one.alike for one in answers]) > 0.95
-
-
-def test_more_labels_make_it_better() -> None:
-    few, many = (learnt(*table(rows, 3)).reports[1].error for rows in (60, 300))
-    assert many < 0.75 * few
+    assert np.mean(alike) > 0.95
 
 
 def test_what_the_frames_do_not_show_is_not_answered() -> None:
@@ -65,19 +58,19 @@ def test_what_the_frames_do_not_show_is_not_answered() -> None:
 
 
 def test_rows_that_contradict_the_others_are_named() -> None:
-    features, labels = table(300, 6)
-    labels[[17, 203], 0] += 2.0
-    assert learnt(features, labels).reports[0].contradicting == (17, 203)
+    features, labels = table(150, 6)
+    labels[[17, 103], 0] += 2.0
+    assert learnt(features, labels).reports[0].contradicting == (17, 103)
 
 
 def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
-    features, labels = table(300, 7)
+    features, labels = table(180, 7)
     labels[::3, 1] = np.nan
     found = learnt(features, labels)
-    assert [report.rows for report in found.reports] == [300, 200]
+    assert [report.rows for report in found.reports] == [180, 120]
     assert found.model is not None
     fresh, truth = table(200, 8)
-    error = np.mean([np.abs(predict(found.model, row).values - true) for row, true in zip(fresh, truth, strict=True)])
+    error = np.mean([np.abs(predict(found.model, row)[0] - true) for row, true in zip(fresh, truth, strict=True)])
     assert error < 3 * NOISE
 
 
@@ -92,34 +85,13 @@ def test_frames_of_one_press_are_held_out_together() -> None:
     assert alone < 0.1 < 0.2 < together
 
 
-def test_a_frame_unlike_the_table_has_no_answer() -> None:
-    model = learnt(*table(300, 11)).model
-    assert model is not None
-    strange = np.random.default_rng(12).normal(size=300).astype(np.float32)
-    assert not predict(model, strange).alike
-
-
-def test_a_label_that_never_changes_is_no_error() -> None:
-    features, labels = table(60, 15)
-    labels[:, 1] = 2.5
-    assert learnt(features, labels).reports[0].seen
-
-
 def test_a_quantity_of_presses_that_one_fold_holds_out() -> None:
-    features, labels = table(300, 16)
-    groups = np.arange(300) // 3
+    features, labels = table(150, 16)
+    groups = np.arange(150) // 3
     labels[groups % 10 != 0, 1] = np.nan
     report = learnt(features, labels, groups).reports[1]
-    assert report.rows == 30
+    assert report.rows == 15
     assert np.isfinite(report.error)
-
-
-def test_the_same_table_gives_the_same_model() -> None:
-    one, two = (learnt(*table(100, 13)).model for _ in range(2))
-    assert one is not None
-    assert two is not None
-    np.testing.assert_array_equal(one.weights, two.weights)
-    np.testing.assert_array_equal(one.components, two.components)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -128,10 +100,10 @@ def test_extremes_stay_finite(scale: float) -> None:
     features[:, 0] = 3.0  # one that never changes
     found = learnt((features * scale).astype(np.float32), labels * scale)
     assert found.model is not None
-    answer = predict(found.model, features[0] * np.float32(scale))
-    assert np.isfinite(answer.values).all()
-    assert np.isfinite(answer.sigma).all()
-    assert (answer.sigma > 0).all()
-    wild = predict(found.model, np.full(300, 1e9 * scale, np.float32))
-    assert np.isfinite(wild.values).all()
-    assert not wild.alike
+    values, sigma, _ = predict(found.model, features[0] * np.float32(scale))
+    assert np.isfinite(values).all()
+    assert np.isfinite(sigma).all()
+    assert (sigma > 0).all()
+    values, _, alike = predict(found.model, np.full(300, 1e9 * scale, np.float32))
+    assert np.isfinite(values).all()
+    assert not alike
