@@ -19,14 +19,8 @@ from .reasons import Reason, ReasonCode
 
 
 class TacshadeError(Exception):
-    """The base class of the three errors that are raised.
-
-    Parameters
-    ----------
-    text : str
-        One line: what, where, and what was expected.
-    code : ReasonCode, optional
-        Code for programs; by default the class's own.
+    """The base class of the three errors that are raised: one line of text, and a code for programs, by default the
+    class's own.
     """
 
     _code: ClassVar[ReasonCode]
@@ -42,14 +36,8 @@ class TacshadeError(Exception):
 
 
 class ConfigError(TacshadeError):
-    """Settings, a calibration or arguments that cannot work as they are (exit 78).
-
-    Parameters
-    ----------
-    text : str
-    code : ReasonCode, optional
-    others : sequence of str
-        Further mistakes in the same file, one line each; a line counts those after the first 50.
+    """Settings, a calibration or arguments that cannot work as they are (exit 78). `others`: further mistakes in the
+    same file, one line each; a line counts those after the first 50.
     """
 
     _code = ReasonCode.CONFIG

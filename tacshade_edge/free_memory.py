@@ -8,9 +8,8 @@ _M_ARENA_MAX = -8  # glibc's malloc.h
 
 
 def return_free_memory() -> None:
-    """Return freed memory to the system now: glibc keeps what lies below the newest block, most of a large map.
-
-    This takes a few milliseconds, while other threads keep running. Does nothing with another C library.
+    """Return freed memory to the system, within milliseconds: glibc keeps what lies below the newest block, most of a
+    large map.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -18,10 +17,7 @@ def return_free_memory() -> None:
 
 
 def share_free_memory() -> None:
-    """Make all threads allocate from one heap: by default glibc gives each its own, with 2 MB unused.
-
-    This affects only threads that start later. Does nothing with another C library.
-    """
+    """Make threads that start later allocate from one heap: by default glibc gives each its own, with 2 MB unused."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_ARENA_MAX, 1)

@@ -15,8 +15,7 @@ from tacshade_edge.protocol.topics import Finger, HandObjects, Motion, Unobserva
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Slip
 
-PATCHES_MAX: Final = 4
-"""Patches of one finger, the greatest first: the message of five fingers stays within the decoder's limit."""
+PATCHES_MAX: Final = 4  # of a finger, the greatest first: a message of five fingers stays within the decoder's limit
 PERIOD_NS: Final = 10_000_000
 """Shortest time between two fits: five cameras that do not expose together cause up to 250 messages a second."""
 STALE_NS: Final = 500_000_000
@@ -99,12 +98,9 @@ def _published(found: ObjectMotion, left_out: tuple[str, ...]) -> Motion:
 GATHER_NS: Final = 3_000_000
 """Longest wait of a finger's news for other fingers in contact, whose cameras do not expose together; a finger whose
 next frame is due later is not waited for. Also the shortest time between two messages."""
-QUIET_PERIOD_NS: Final = 100_000_000
-"""Longest time between two messages, without contact and change."""
-FIRST_NS: Final = 500_000_000
-"""Longest wait for a silent finger before the first message to a new listener."""
-STALLED_NS: Final = 3_000_000_000
-"""A finger that has reported nothing for this long is away, as in `status/camera`."""
+QUIET_PERIOD_NS: Final = 100_000_000  # longest time between two messages, without contact and change
+FIRST_NS: Final = 500_000_000  # longest wait for a silent finger before the first message to a new listener
+STALLED_NS: Final = 3_000_000_000  # a finger that has reported nothing for this long is away, as in `status/camera`
 
 _STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet"))
 _STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor has sent no report"))
@@ -178,8 +174,7 @@ class HandAggregator:
         return message
 
 
-Reports = Iterable[tuple[int, int, Finger]]
-"""A finger's `t_ns`, Unix time and report of each frame, in order."""
+Reports = Iterable[tuple[int, int, Finger]]  # a finger's `t_ns`, Unix time and report of each frame, in order
 
 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:

@@ -27,20 +27,16 @@ class ReasonCode(StrEnum):
     CAMERA_SHIFT = "camera_shift"
     UNTRUSTED = "untrusted"
     NO_USABLE_FRAME = "no_usable_frame"
-
     # A touch.
     TOUCH_UNLIKE = "touch_unlike"
     TOUCH_RANGE = "touch_range"
     TOUCH_NETWORKS = "touch_networks"
-
     # A daemon without a calibration.
     NOT_CALIBRATED = "not_calibrated"
-
     # An error without a more specific code below.
     CONFIG = "config"
     DEVICE = "device"
     DECODE = "decode"
-
     # A camera, a serial port, the broker.
     STARTING = "starting"
     ABSENT = "absent"
@@ -55,7 +51,6 @@ class ReasonCode(StrEnum):
     LOST = "lost"
     STALLED = "stalled"
     REPLAY = "replay"
-
     # A recording and its end.
     NO_RECORDING = "no_recording"
     TIME = "time"
@@ -65,12 +60,10 @@ class ReasonCode(StrEnum):
     CALIBRATION_CHANGED = "calibration_changed"
     DISK = "disk"
     DISK_FULL = "disk_full"
-
     # A step of the profile `auto`, and a reload.
     OVER_BUDGET = "over_budget"
     WITHIN_BUDGET = "within_budget"
     RESTART = "restart"
-
     # A command, over MQTT or on the serial line.
     BAD_REQUEST = "bad_request"
     UNKNOWN_PROFILE = "unknown_profile"
@@ -81,7 +74,6 @@ class ReasonCode(StrEnum):
     FRAME_IN_CONTACT = "frame_in_contact"
     REFERENCE_INVALID = "reference_invalid"
     PATCH_CHANGED = "patch_changed"
-
     # A line of the robot.
     NOT_A_LINE = "not_a_line"
     UNKNOWN_VERB = "unknown_verb"
@@ -92,7 +84,6 @@ class ReasonCode(StrEnum):
     NUMBER_REUSED = "number_reused"
     NUMBER_STALE = "number_stale"
     LINE_TOO_SLOW = "line_too_slow"
-
     # A stitching session and its presses.
     NO_SESSION = "no_session"
     BAD_NAME = "bad_name"
@@ -104,7 +95,6 @@ class ReasonCode(StrEnum):
     NO_PRESS = "no_press"
     PRESS_DEVIATES = "press_deviates"
     PRESS_DISPLACED = "press_displaced"
-
     # The robot's line and its clock.
     PORT_LATENCY = "port_latency"
     NOTHING_RECEIVED = "nothing_received"

@@ -84,22 +84,19 @@ def turned_rad(rotation: F64) -> F64:
 
 def _quaternion(m: F64) -> tuple[float, float, float, float]:
     """The unit quaternion w, x, y, z of a rotation, from its largest component, to avoid the root of a tiny number."""
-    squares = np.array(
+    turned = np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))
+    products = np.empty((4, 4))  # of its components, times 4
+    products[0, 1:] = products[1:, 0] = turned
+    products[1:, 1:] = m + m.T
+    np.fill_diagonal(
+        products,
         (
             1 + m[0, 0] + m[1, 1] + m[2, 2],
             1 + m[0, 0] - m[1, 1] - m[2, 2],
             1 - m[0, 0] + m[1, 1] - m[2, 2],
             1 - m[0, 0] - m[1, 1] + m[2, 2],
-        )
+        ),
     )
-    products = np.array(
-        (
-            (squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]),
-            (m[2, 1] - m[1, 2], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]),
-            (m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], squares[2], m[2, 1] + m[1, 2]),
-            (m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], squares[3]),
-        )
-    )
-    row = products[int(np.argmax(squares))]
-    q = row / np.linalg.norm(row) * (-1 if row[0] < 0 else 1)
-    return float(q[0]), float(q[1]), float(q[2]), float(q[3])
+    row = products[int(np.argmax(products.diagonal()))]
+    w, x, y, z = (row / np.linalg.norm(row) * (-1 if row[0] < 0 else 1)).tolist()
+    return w, x, y, z

@@ -57,20 +57,6 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     assert (message.t_ns, message.wall_ns, message.seq) == (NOW_NS + FIRST_NS, 7, 0)
 
 
-def test_it_is_due_at_once_when_all_have_told(two: HandAggregator) -> None:
-    due_ns = two.due_ns()
-    assert due_ns is not None
-    assert due_ns <= NOW_NS
-
-
-def test_every_finger_has_the_age_of_its_frame(two: HandAggregator) -> None:
-    two.hear("index", TOUCHED, NOW_NS)
-    two.hear("thumb", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
-    fingers = two.message(NOW_NS, 0).fingers
-    assert (fingers["index"].age_ms, fingers["thumb"].age_ms) == (5.5, None)
-    assert list(fingers) == ["thumb", "index"]
-
-
 @pytest.mark.parametrize(
     ("told", "period_ns"),
     [(TOUCHED, GATHER_NS), (away(Reason(ReasonCode.LOST, "gone")), GATHER_NS), (FREE, QUIET_PERIOD_NS)],
@@ -121,13 +107,6 @@ def test_news_does_not_wait_for_a_finger_whose_next_frame_is_due_too_late(two: H
     assert two.due_ns() == overdue_ns + GATHER_NS
 
 
-def test_a_contact_that_is_told_is_no_news_until_its_next_frame(two: HandAggregator) -> None:
-    two.hear("thumb", TOUCHED, NOW_NS)
-    assert two.message(NOW_NS, 0).seq == 0
-    assert two.due_ns() == NOW_NS + QUIET_PERIOD_NS
-    assert two.message(NOW_NS + QUIET_PERIOD_NS, 0).seq == 1
-
-
 def test_a_finger_that_falls_silent_is_away(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     two.hear("index", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
@@ -137,17 +116,6 @@ def test_a_finger_that_falls_silent_is_away(two: HandAggregator) -> None:
     assert (fingers["thumb"].state, fingers["thumb"].objects) == ("away", ())
     two.hear("thumb", FREE, NOW_NS + STALLED_NS + 2)
     assert two.message(NOW_NS + STALLED_NS + 2, 0).fingers["thumb"].state == "free"
-
-
-def test_what_was_told_before_somebody_listened_is_no_news(two: HandAggregator) -> None:
-    two.hear("thumb", TOUCHED, NOW_NS)
-    two.hear("index", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
-    two.listen(False, NOW_NS)
-    later_ns = NOW_NS + 10**11
-    two.listen(True, later_ns)
-    two.listen(True, later_ns + FIRST_NS)
-    fingers = two.message(later_ns + FIRST_NS, 0).fingers
-    assert [f.reason_code for f in fingers.values()] == ["starting", "lost"]
 
 
 CONTACT = HandObject(
@@ -196,17 +164,6 @@ def test_skin_that_all_goes_one_way_is_an_object_that_does() -> None:
     assert covariance == pytest.approx(covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert 0.01 < covariance[3, 3] ** 0.5 < 10  # in degrees
-
-
-def test_a_finger_over_which_it_slips_is_left_out_and_named() -> None:
-    held = HeldObject()
-    stepped(held, all_fingers(), NOW_NS)
-    later_ns = NOW_NS + PERIOD_NS
-    fingers = all_fingers(later_ns) | {"ring": finger("ring", later_ns, slip=2, shear_mm=(0.0, 3.0, 0.0))}
-    motion = stepped(held, fingers, later_ns)
-    assert motion.left_out == ("ring",)
-    assert motion.translation_mm == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
-    assert len(motion.unobservable) == 1
 
 
 @pytest.mark.parametrize("missing", ["shear_mm", "id"])
@@ -258,13 +215,3 @@ def test_frames_of_one_moment_are_one_message() -> None:
         thumb, index = message.fingers.values()
         assert (thumb.t_ns, index.t_ns) == (message.t_ns - GATHER_NS // 2, message.t_ns)
         assert message.wall_ns == message.t_ns + 7
-
-
-def test_a_finger_whose_recording_ended_is_away() -> None:
-    many = ("contact",) * (2 * STALLED_NS // FRAME_NS)
-    *_, last = messages({"thumb": reports(*many), "index": reports("contact")})
-    assert [finger.state for finger in last.fingers.values()] == ["contact", "away"]
-
-
-def test_no_frame_is_no_message() -> None:
-    assert list(messages({"thumb": [], "index": []})) == []

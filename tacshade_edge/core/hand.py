@@ -11,8 +11,8 @@ two instants n is the mean of both, which is exact for a plane and for a ball on
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -21,19 +21,16 @@ from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
 from tacshade_edge.types import F64, frozen
 
 Triple = tuple[float, float, float]
-LEVER_MM: Final = 20.0
-"""Distance from the axis of the point whose travel measures a rotation."""
+LEVER_MM: Final = 20.0  # distance from the axis of the point whose travel measures a rotation
 SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2
 """Standard deviation of a change of shear along each axis, and its increase per mm that the patch moved, from fingers
 of a simulated hand on images, with skins that slid in part."""
-DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5
-"""The same for a change of depth, which grows only over the first 1.5 mm."""
+DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5  # of depth; grows over the first 1.5 mm
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
 """A direction is unobserved if its standard deviation would exceed this after each patch moved by `NOMINAL_MM`."""
 NOMINAL_MM: Final = 2.0
-UNKNOWN_SD_MM: Final = 50.0
-"""Standard deviation reported for unobserved directions."""
+UNKNOWN_SD_MM: Final = 50.0  # standard deviation reported for unobserved directions
 _STEPS, _CONVERGED_MM = 5, 0.02  # its square over the lever remains as error
 _STEEPEST = 0.2  # n · z of a contact so far off the tip that no camera sees it
 _EYE = np.eye(3)
@@ -42,7 +39,7 @@ _EYE = np.eye(3)
 @dataclass(frozen=True, slots=True)
 class Patch:
     """One contact of one finger; vectors along the hand's axes: mean place, unit normal into the object, the finger's z
-    axis (shear is perpendicular to it, twist about it, None if the contact is too small), mean shear, greatest h.
+    axis, mean shear at right angles to it, greatest h; twist about it, None if the contact is too small.
     """
 
     place_mm: Triple
@@ -54,77 +51,59 @@ class Patch:
     slips: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Patches:
-    """Several patches as arrays, one row each: `place_mm`, `normal`, `axis`, `shear_mm` (n, 3), the others (n,); an
-    unknown twist is NaN.
-    """
+class _Patches:
+    """Several patches as arrays, one row each; an unknown twist is NaN."""
 
-    place_mm: F64
-    normal: F64
-    axis: F64
-    shear_mm: F64
-    depth_mm: F64
-    twist_rad: F64
-
-
-def stack(patches: Sequence[Patch]) -> Patches:
-    """Convert patches to arrays."""
-    rows = np.array(
-        [
-            (*p.place_mm, *p.normal, *p.axis, *p.shear_mm, p.depth_mm, np.nan if p.twist_deg is None else p.twist_deg)
-            for p in patches
-        ],
-        np.float64,
-    ).reshape(len(patches), 14)
-    return Patches(rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:12], rows[:, 12], np.radians(rows[:, 13]))
+    def __init__(self, patches: Iterable[Patch]) -> None:
+        rows = np.array(
+            [(*p.place_mm, *p.normal, *p.axis, *p.shear_mm, p.depth_mm, p.twist_deg) for p in patches], np.float64
+        ).reshape(-1, 14)
+        self.place_mm, self.normal, self.axis, self.shear_mm = rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:12]
+        self.depth_mm, self.twist_rad = rows[:, 12], np.radians(rows[:, 13])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Link:
+class _Link:
     """The beginning of a motion: its patches, their mean place, and orthonormal directions (6, k), (6, 6 - k) of a
     small motion about it: three components of translation, three of rotation times `LEVER_MM`.
     """
 
-    start: Patches
+    start: _Patches
     middle_mm: F64
     observed: F64
     unobserved: F64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinkMotion:
-    """The motion since a link's beginning: rotation (3, 3), translation of the link's middle, and the covariance (6, 6)
-    of a small motion after it, about the moved middle: mm, rad, without unobserved directions.
+class _Motion:
+    """The motion since a link's beginning, with the translation of its middle and the covariance (6, 6), mm and rad, of
+    a small motion after it about the moved middle, without unobserved directions.
     """
 
-    rotation: F64
-    translation_mm: F64
-    covariance: F64
+    rotation: F64 = field(default_factory=lambda: np.eye(3))
+    translation_mm: F64 = field(default_factory=lambda: np.zeros(3))
+    covariance: F64 = field(default_factory=lambda: np.zeros((6, 6)))
 
     def rigid(self, middle_mm: F64) -> Rigid:
         """The motion as a transform of all points of the hand's frame."""
         return Rigid(self.rotation, middle_mm + self.translation_mm - self.rotation @ middle_mm)
 
 
-AT_REST: Final = LinkMotion(_EYE, np.zeros(3), np.zeros((6, 6)))
-
-
-def begin(start: Patches) -> Link:
+def _begun(start: _Patches) -> _Link:
     """Begin a motion at these patches, and find the directions that they will show."""
     count = len(start.depth_mm)
     middle_mm = start.place_mm.mean(axis=0) if count else np.zeros(3)
     weights = _weights(start, start.normal, np.full(count, NOMINAL_MM))
     rows = _jacobian(start.place_mm - middle_mm)
-    information = _normal(rows, weights @ rows)
+    information = np.tensordot(rows, weights @ rows, ((0, 1), (0, 1)))
     axes, known = _twist_axes(start, start.normal), np.isfinite(start.twist_rad)
     information[3:, 3:] += axes[known].T @ axes[known]
     values, directions = np.linalg.eigh(information)
     seen = values > OBSERVED_SD_MM**-2
-    return Link(start, middle_mm, directions[:, seen], directions[:, ~seen])
+    return _Link(start, middle_mm, directions[:, seen], directions[:, ~seen])
 
 
-def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
+def _solved(link: _Link, now: _Patches, guess: _Motion) -> _Motion:
     """Fit the motion to the same patches now, in the same order, by Gauss-Newton on SE(3) from a first guess."""
     directions = link.observed
     if not directions.shape[1]:
@@ -149,10 +128,12 @@ def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
         rest_mm = moved_mm - (is_mm + translation_mm - was_mm)
         rows = _jacobian(is_mm) @ directions
         weighted = weights @ rows
-        twist_rest = twisted_rad - axes @ _small_vector(rotation) * LEVER_MM
+        # The rotation vector times its sine over its length: a link's motion is small.
+        m = rotation - rotation.T
+        twist_rest = twisted_rad - axes @ (0.5 * np.array((m[2, 1], m[0, 2], m[1, 0]))) * LEVER_MM
         # The damping keeps a direction defined that a contact no longer shows after turning over.
-        information = _normal(rows, weighted) + twist_rows.T @ twist_rows + damping
-        gradient = rest_mm.ravel() @ weighted.reshape(-1, weighted.shape[2]) + twist_rest @ twist_rows
+        information = np.tensordot(rows, weighted, ((0, 1), (0, 1))) + twist_rows.T @ twist_rows + damping
+        gradient = np.tensordot(rest_mm, weighted, 2) + twist_rest @ twist_rows
         covariance = np.linalg.inv(information)
         step = directions @ (covariance @ gradient)
         rotation = turn(step[3:] / LEVER_MM).rotation @ rotation
@@ -161,10 +142,10 @@ def solve(link: Link, now: Patches, guess: LinkMotion) -> LinkMotion:
             break
     scaled = directions.copy()
     scaled[3:] /= LEVER_MM
-    return LinkMotion(rotation, translation_mm, scaled @ covariance @ scaled.T)
+    return _Motion(rotation, translation_mm, scaled @ covariance @ scaled.T)
 
 
-def _weights(patches: Patches, normal: F64, far_mm: F64) -> F64:
+def _weights(patches: _Patches, normal: F64, far_mm: F64) -> F64:
     """Information (n, 3, 3) on the motion at each patch, given how far it moved."""
     z = patches.axis
     of_shear = (SHEAR_SD_MM + SHEAR_SD_PART * far_mm) ** -2
@@ -175,7 +156,7 @@ def _weights(patches: Patches, normal: F64, far_mm: F64) -> F64:
     )
 
 
-def _twist_axes(patches: Patches, normal: F64) -> F64:
+def _twist_axes(patches: _Patches, normal: F64) -> F64:
     """The change of each twist, in its standard deviations, with a rotation times the lever: (n, 3)."""
     steep = np.maximum((normal * patches.axis).sum(axis=1), _STEEPEST)
     return np.asarray((patches.axis + normal / steep[:, None]) * (0.5 / (LEVER_MM * TWIST_SD_RAD)))
@@ -192,30 +173,15 @@ def _jacobian(arms_mm: F64) -> F64:
     return rows
 
 
-def _normal(rows: F64, weighted: F64) -> F64:
-    """The sum of rowsᵀ · weighted over all patches."""
-    size = rows.shape[2]
-    return np.asarray(rows.reshape(-1, size).T @ weighted.reshape(-1, size))
-
-
-def _small_vector(rotation: F64) -> F64:
-    """The rotation vector times its sine over its length, which is close enough because a link's motion is small."""
-    m = rotation
-    return 0.5 * np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))
-
-
 UNSEEN_MM_S: Final = 10.0
 """Growth of the deviation of an unobserved direction, up to `UNKNOWN_SD_MM`, that a link passes to the next: 29
 degrees/s. If one finger touches a frame before the others, the object has not turned far unseen."""
 REST_SHARE: Final = 0.1
 """Part of its covariance that a link without motion passes to the next: both see the same error of the instant between
 them with opposite signs, so only the difference of their weights remains."""
-RECENTRED_MM: Final = 0.1
-"""The reported translation is that of a point amid the holding patches, if the change of point changes it by less."""
-GAIN_SD: Final = 0.2
-"""Relative error common to all fingers' shear: skins of one make follow an object by the same part."""
-FARTHEST_LINE_MM: Final = 200.0
-"""A rotation about a line farther away counts as a translation."""
+RECENTRED_MM: Final = 0.1  # the reported point is amid the holding patches, if that changes its motion by less
+GAIN_SD: Final = 0.2  # relative error common to all fingers' shear: skins of one make follow an object by the same part
+FARTHEST_LINE_MM: Final = 200.0  # a rotation about a line farther away counts as a translation
 _SCALE = np.array([1.0] * 3 + [LEVER_MM] * 3)
 
 
@@ -225,15 +191,15 @@ class Unobserved:
     translation (no point).
     """
 
-    axis: tuple[float, float, float]
-    through_mm: tuple[float, float, float] | None
+    axis: Triple
+    through_mm: Triple | None
 
 
 @frozen
 class ObjectMotion:
-    """A point of the object at p in the hand's frame at the grasp, `since_ns`, is now at R (p - about) + about +
-    translation, with R of a rotation vector; the covariance (6, 6) is of the translation in mm and a small rotation
-    after R in rad. Unobserved motions have a large deviation there, and are 0 here.
+    """A point of the object at p in the hand's frame at the grasp is now at R (p - about) + about + translation, with R
+    of a rotation vector; the covariance (6, 6) is of the translation and a small rotation after R. Unobserved motions
+    have a large deviation there, and are 0 here.
     """
 
     since_ns: int
@@ -256,24 +222,23 @@ class _State:
     since_ns: int
     about_mm: F64
     base: Rigid
-    spread: F64
-    """Covariance of the base, of a small motion after it about the hand's origin, in mm and rad."""
-    keys: tuple[str, ...]
-    link: Link
+    spread: F64  # covariance of the base, of a small motion after it about the hand's origin, in mm and rad
+    link: _Link
     began_ns: int
     unobserved: tuple[Unobserved, ...]
-    seen: Patches
+    seen: Mapping[str, Patch]
     seen_ns: int
-    motion: LinkMotion
+    motion: _Motion
+
+    def whole(self) -> Rigid:
+        """The motion since the grasp."""
+        return self.motion.rigid(self.link.middle_mm) @ self.base
 
 
 class ObjectTracker:
-    """Tracks the object that a hand holds, from the skin that sticks to it.
-
-    All patches are assumed to belong to one object, and the fingers to stand still in the hand. While the same patches
-    stick, each fit uses the change since that link's beginning, so that nothing accumulates at rest. When a patch
-    joins, leaves or begins to slip, the motion so far is kept, and the next link begins with the patches that then
-    stick.
+    """Tracks the object that a hand holds, from the skin that sticks to it. While the same patches stick, each fit uses
+    the change since that link's beginning, so that nothing accumulates at rest. When a patch joins, leaves or begins to
+    slip, the motion so far is kept, and the next link begins with the patches that then stick.
     """
 
     def __init__(self) -> None:
@@ -287,54 +252,43 @@ class ObjectTracker:
         stick = {key: patch for key, patch in patches.items() if not patch.slips}
         state = self._state
         if state is None:
-            state = _grasped(t_ns, stick)
+            link = _begun(_Patches(stick.values()))
+            state = _linked(t_ns, link.middle_mm, shift(0.0, 0.0, 0.0), np.zeros((6, 6)), link, stick, t_ns)
         else:
-            if stick.keys() != set(state.keys):
-                both = [key for key in state.keys if key in stick]
-                rows = [state.keys.index(key) for key in both]
+            if stick.keys() != state.seen.keys():
                 # The motion since the last instant shows in the patches that still stick.
-                state = _next_link(state, tuple(both), _picked(state.seen, rows))
-                state = _seen(state, t_ns, stick)
-                state = _next_link(state, tuple(stick), stack(list(stick.values())))
-            state = _seen(state, t_ns, stick)
+                both = {key: patch for key, patch in state.seen.items() if key in stick}
+                state = _next_link(_fitted(_next_link(state, both), t_ns, stick), stick)
+            state = _fitted(state, t_ns, stick)
         self._state = state
         return _reported(state)
 
 
-def _grasped(t_ns: int, stick: Mapping[str, Patch]) -> _State:
-    """Begin the first link."""
-    link = begin(stack(list(stick.values())))
-    begun = _State(
-        *(t_ns, link.middle_mm, shift(0.0, 0.0, 0.0), np.zeros((6, 6)), tuple(stick), link, t_ns, ()),
-        *(link.start, t_ns, AT_REST),
-    )
-    return replace(begun, unobserved=_unobserved(begun))
+def _linked(
+    since_ns: int, about_mm: F64, base: Rigid, spread: F64, link: _Link, seen: Mapping[str, Patch], t_ns: int
+) -> _State:
+    """A state at the beginning of a link."""
+    return _State(since_ns, about_mm, base, spread, link, t_ns, _unobserved(link, spread), seen, t_ns, _Motion())
 
 
-def _next_link(state: _State, keys: tuple[str, ...], start: Patches) -> _State:
+def _next_link(state: _State, seen: Mapping[str, Patch]) -> _State:
     """Keep the motion so far, and begin another link at these patches."""
-    link = begin(start)
-    base = state.motion.rigid(state.link.middle_mm) @ state.base
+    link, base, motion, about_mm = _begun(_Patches(seen.values())), state.whole(), state.motion, state.about_mm
     unseen_mm = min(UNKNOWN_SD_MM, UNSEEN_MM_S * (state.seen_ns - state.began_ns) / 1e9)
-    way = np.append(state.motion.translation_mm, LEVER_MM * turned_rad(state.motion.rotation))
+    way = np.append(motion.translation_mm, LEVER_MM * turned_rad(motion.rotation))
     moved_sd_mm = SHEAR_SD_PART * float(np.linalg.norm(way))
     spread = _spread(state, unseen_mm, max(REST_SHARE, moved_sd_mm / (SHEAR_SD_MM + moved_sd_mm)))
-    about_mm = state.about_mm
-    if keys:
+    if seen:
         amid_mm = base.inverse().apply(link.middle_mm)
         change_mm = (base.rotation - np.eye(3)) @ (amid_mm - about_mm)
         about_mm = amid_mm if np.linalg.norm(change_mm) < RECENTRED_MM else about_mm
-    begun = _State(
-        *(state.since_ns, about_mm, base, spread, keys, link, state.seen_ns, ()),
-        *(start, state.seen_ns, AT_REST),
-    )
-    return replace(begun, unobserved=_unobserved(begun))
+    return _linked(state.since_ns, about_mm, base, spread, link, seen, state.seen_ns)
 
 
-def _seen(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:
+def _fitted(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:
     """Fit the link's motion to its patches now."""
-    now = stack([stick[key] for key in state.keys])
-    return replace(state, seen=now, seen_ns=t_ns, motion=solve(state.link, now, state.motion))
+    seen = {key: stick[key] for key in state.seen}
+    return replace(state, seen=seen, seen_ns=t_ns, motion=_solved(state.link, _Patches(seen.values()), state.motion))
 
 
 def _spread(state: _State, unseen_mm: float, share: float) -> F64:
@@ -359,11 +313,10 @@ def _moved_to(place_mm: F64) -> F64:
     return change
 
 
-def _unobserved(state: _State) -> tuple[Unobserved, ...]:
-    """The motions that the link and those before it do not show."""
-    link = state.link
+def _unobserved(link: _Link, spread: F64) -> tuple[Unobserved, ...]:
+    """The motions that a link and those before it do not show."""
     change = _moved_to(link.middle_mm)
-    before = change @ state.spread @ change.T * np.outer(_SCALE, _SCALE)
+    before = change @ spread @ change.T * np.outer(_SCALE, _SCALE)
     values, directions = np.linalg.eigh(before + UNKNOWN_SD_MM**2 * (link.unobserved @ link.unobserved.T))
     return tuple(_line(directions[:, i], link.middle_mm) for i in np.flatnonzero(values > OBSERVED_SD_MM**2))
 
@@ -381,20 +334,11 @@ def _line(direction: F64, middle_mm: F64) -> Unobserved:
     return Unobserved((x, y, z), (a, b, c))
 
 
-def _picked(patches: Patches, rows: list[int]) -> Patches:
-    return Patches(
-        *(patches.place_mm[rows], patches.normal[rows], patches.axis[rows], patches.shear_mm[rows]),
-        *(patches.depth_mm[rows], patches.twist_rad[rows]),
-    )
-
-
 def _reported(state: _State) -> ObjectMotion:
-    whole = state.motion.rigid(state.link.middle_mm) @ state.base
+    whole = state.whole()
     now_mm = whole.apply(state.about_mm)
     change = _moved_to(now_mm)
     translation_mm, rotation_rad = now_mm - state.about_mm, turned_rad(whole.rotation)
     gained = GAIN_SD * np.concatenate((translation_mm, rotation_rad))
-    return ObjectMotion(
-        *(state.since_ns, state.about_mm, translation_mm, rotation_rad),
-        *(change @ _spread(state, UNKNOWN_SD_MM, 1.0) @ change.T + np.outer(gained, gained), state.unobserved),
-    )
+    covariance = change @ _spread(state, UNKNOWN_SD_MM, 1.0) @ change.T + np.outer(gained, gained)
+    return ObjectMotion(state.since_ns, state.about_mm, translation_mm, rotation_rad, covariance, state.unobserved)

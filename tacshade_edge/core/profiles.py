@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 from tacshade_edge.core.geometry import disc_map
 
-AUTO = "auto"
-"""In place of a profile: the daemon switches between those of `LADDER` by a latency budget."""
+AUTO = "auto"  # in place of a profile: the daemon switches between those of `LADDER` by a latency budget
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,17 +23,9 @@ class Profile:
     network: str | None = None
 
 
-DEFAULT = "balanced"
-"""The profile if the user names none."""
+DEFAULT = "balanced"  # the profile if the user names none
 
-_LEARNED = Profile(
-    "accurate",
-    "learned",
-    stride_px=4,
-    window_pitches=2,
-    tv_weight=0.0,
-    network="accurate",
-)
+_LEARNED = Profile("accurate", "learned", stride_px=4, window_pitches=2, tv_weight=0.0, network="accurate")
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
@@ -45,8 +36,6 @@ PROFILES: dict[str, Profile] = {
     )
 }
 
-GATE = replace(_LEARNED, name="gate", network=None, halved=True)
-"""The profile of the pictures that the gate and the judges see, whatever the frame's profile."""
+GATE = replace(_LEARNED, name="gate", network=None, halved=True)  # of the pictures that gate and judges see
 
-LADDER: tuple[str, ...] = tuple(name for name in ("accurate", "balanced", "fast") if name in PROFILES)
-"""The profiles of `AUTO`, the most accurate and slowest first."""
+LADDER: tuple[str, ...] = tuple(name for name in ("accurate", "balanced", "fast") if name in PROFILES)  # of `AUTO`

@@ -38,8 +38,7 @@ from tacshade_edge.types import (
     TouchModel,
 )
 
-STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")
-"""All stages that a step may mark, in order; it does not mark a stage that did not run."""
+STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")  # in order
 
 
 def no_mark(stage: str) -> None:
@@ -47,12 +46,10 @@ def no_mark(stage: str) -> None:
 
 
 class Reconstructor:
-    """Reconstructs frames of one calibrated sensor, deterministically.
-
-    Each frame is independent, except that one with the untouched skin of an earlier frame gets that frame's result
-    (`contact.gate.UnchangedSkin`). `touch` is the profile's model, or the reason why it cannot be used (without a
-    model, map and shear give the touch); a list collects the features of each requested touch for learning. `grid` and
-    `rays` are those of every height map, in the camera's pixels.
+    """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except that one with the
+    untouched skin of an earlier frame gets that frame's result. `touch` is the profile's model, or the reason why it
+    cannot be used; a list collects the features of each requested touch for learning. `grid` and `rays` are those of
+    every height map.
     """
 
     def __init__(
@@ -108,9 +105,8 @@ class Reconstructor:
     def step(self, frame: Frame, mark: Mark = ..., need: Need = ...) -> Reconstruction | None: ...
 
     def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL) -> Reconstruction | None:
-        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end, so that a caller with a
-        clock can time it. With the need ``CONTACT``, a frame in contact returns None instead of a depth; without
-        ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
+        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end. With the need ``CONTACT``,
+        a frame in contact returns None; without ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
         """
         grey = self._seen.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape)

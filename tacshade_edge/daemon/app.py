@@ -20,7 +20,7 @@ from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import FRAMES_SENT_S, LINK_STOPPED_S, THREADS_STOPPED_S, FrameObserver, SourceState
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.profiles import ActiveProfile, Stepped
+from tacshade_edge.daemon.profiles import ActiveProfile, Step
 from tacshade_edge.daemon.publishing import Health, HomeAssistant, Preview, Publisher
 from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder
 from tacshade_edge.daemon.record_requests import RecordRequests
@@ -59,7 +59,7 @@ STALL_S = 3.0
 EVENTS_MAX = 16
 
 
-Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | Request | Stepped
+Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | Request | Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +218,7 @@ class App:
                 self._requests.handle(event)
             elif event == "reload":
                 self._reload()
-            elif isinstance(event, Stepped):
+            elif isinstance(event, Step):
                 if self._active.step(event):
                     self._changed()
             elif isinstance(event, SourceState):

@@ -29,21 +29,23 @@ STEPS_A_MINUTE = 6  # for a ladder of three: two tries, their returns, and two e
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A change to another profile; the reason is ``OVER_BUDGET`` down, ``WITHIN_BUDGET`` up."""
+    """A chooser's change to another profile; the reason is ``OVER_BUDGET`` down, ``WITHIN_BUDGET`` up."""
 
+    chooser: ProfileChooser
     profile: str
-    up: bool
     reason: Reason
+
+    @property
+    def up(self) -> bool:
+        return self.reason.code is ReasonCode.WITHIN_BUDGET
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How well a profile keeps the budget over its latest `WINDOW_FRAMES` frames.
-
-    90 % of them took at most `within_ms`, None before the first; `kept` is None while there are too few to judge.
+    """How well the chosen profile keeps the budget over its latest `WINDOW_FRAMES` frames: 90 % of them took at most
+    `within_ms`, None before the first; `kept` is None while there are too few to judge.
     """
 
-    profile: str
     frames: int = 0
     within_ms: float | None = None
     kept: bool | None = None
@@ -51,10 +53,9 @@ class Standing:
 
 class ProfileChooser:
     """Steps down a ladder of profiles as soon as a budget is not kept, and up slowly when a better one would keep it.
-
-    After a failed try up the next one waits twice as long; whatever the noise, it takes at most `STEPS_A_MINUTE`. No
-    clock and no thread. `costs_ms`, the most expensive profile first, are those of a step in contact on this idle
-    machine; their ratios predict a better profile's time under load. Another thread may read `standing`.
+    After a failed try up the next one waits twice as long; whatever the noise, it takes at most `STEPS_A_MINUTE`.
+    `costs_ms`, the most expensive profile first, are those of a step in contact on this idle machine. Another thread
+    may read `standing`.
     """
 
     def __init__(self, budget_ms: float, costs_ms: Mapping[str, float]) -> None:
@@ -62,11 +63,10 @@ class ProfileChooser:
         self._costs_ms = dict(costs_ms)
         self._ladder = tuple(costs_ms)
         fitting = (name for name, cost_ms in costs_ms.items() if cost_ms <= MARGIN * budget_ms)
-        self.profile = next(fitting, self._ladder[-1])
         self._patience_s = dict.fromkeys(self._ladder, PATIENCE_S)
+        self._trial, self._frames = False, 0
         self._since_s: float | None = None
-        self._trial = False
-        self._begin()
+        self._begin(next(fitting, self._ladder[-1]))
 
     @property
     def lowest(self) -> bool:
@@ -74,9 +74,8 @@ class ProfileChooser:
         return self.profile == self._ladder[-1]
 
     def observe(self, profile: str, now_s: float, latency_ms: float, own_ms: float) -> Step | None:
-        """Take a frame in contact into account, of which the reconstruction took `own_ms`.
-
-        A frame of another `profile` than the chosen one began before the step. `now_s` never decreases.
+        """Take a frame in contact into account, of which the reconstruction took `own_ms`; one of another `profile`
+        than the chosen one began before the step. `now_s` never decreases.
         """
         if profile != self.profile:
             return None
@@ -89,48 +88,41 @@ class ProfileChooser:
         frames = len(self._latency_ms)
         within_ms = sorted(self._latency_ms)[math.ceil(0.9 * frames) - 1]
         full = frames == WINDOW_FRAMES
-        kept = False if late > LATE_FRAMES else (True if full else None)
-        self.standing = Standing(profile, frames, within_ms, kept)
+        self.standing = Standing(frames, within_ms, False if late > LATE_FRAMES else True if full else None)
         at = self._ladder.index(profile)
-        if kept is False and not self.lowest:
+        if late > LATE_FRAMES and not self.lowest:
             text = f"{late} of the latest {frames} frames in contact took more than {self.budget_ms:g} ms"
-            return self._step(self._ladder[at + 1], now_s, Reason(ReasonCode.OVER_BUDGET, text))
-        if not full:
+            failed = self._trial and self._frames < TRIAL_FRAMES
+            doubled_s = min(2 * self._patience_s[profile], LONGEST_PATIENCE_S)
+            self._patience_s[profile] = doubled_s if failed else PATIENCE_S
+            return self._step(Step(self, self._ladder[at + 1], Reason(ReasonCode.OVER_BUDGET, text)), now_s)
+        better = self._ladder[max(at - 1, 0)]
+        if not full or at == 0 or now_s - self._since_s < self._patience_s[better]:
             return None
-        if at == 0 or now_s - self._since_s < self._patience_s[self._ladder[at - 1]]:
-            return None
-        expected_ms = self._expected_ms(self._ladder[at - 1], within_ms)
+        # A load slows both profiles alike.
+        slower = self._costs_ms[better] / self._costs_ms[profile] - 1
+        expected_ms = within_ms + slower * median(self._own_ms)
         if expected_ms > MARGIN * self.budget_ms:
             return None
         text = (
             f"90 % of {frames} frames took up to {within_ms:.1f} ms; "
             f"the next more accurate profile should take {expected_ms:.1f} ms"
         )
-        return self._step(self._ladder[at - 1], now_s, Reason(ReasonCode.WITHIN_BUDGET, text))
+        return self._step(Step(self, better, Reason(ReasonCode.WITHIN_BUDGET, text)), now_s)
 
-    def _expected_ms(self, better: str, within_ms: float) -> float:
-        """Latency that 90 % of the frames would keep with a better profile: a load slows both profiles alike."""
-        times = self._costs_ms[better] / self._costs_ms[self.profile]
-        return within_ms + (times - 1) * median(self._own_ms)
+    def _step(self, step: Step, now_s: float) -> Step:
+        self._trial = step.up
+        self._begin(step.profile, now_s)
+        return step
 
-    def _step(self, profile: str, now_s: float, reason: Reason) -> Step:
-        up = reason.code is ReasonCode.WITHIN_BUDGET
-        if not up:
-            failed = self._trial and self._frames < TRIAL_FRAMES
-            doubled_s = min(2 * self._patience_s[self.profile], LONGEST_PATIENCE_S)
-            self._patience_s[self.profile] = doubled_s if failed else PATIENCE_S
+    def _begin(self, profile: str, now_s: float | None = None) -> None:
+        """Begin with a profile, without measurements."""
         self.profile = profile
-        self._trial = up
         self._since_s = now_s
-        self._begin()
-        return Step(profile, up, reason)
-
-    def _begin(self) -> None:
-        """Discard all measurements: the chosen profile is new."""
         self._frames = 0
         self._latency_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)
         self._own_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)
-        self.standing = Standing(self.profile)
+        self.standing = Standing()
 
 
 _log = logging.getLogger(__name__)
@@ -139,19 +131,11 @@ REHEARSALS = 10
 CALM_S = 60
 
 
-@dataclass(frozen=True, slots=True)
-class Stepped:
-    """A step of a chooser that may have been replaced meanwhile."""
-
-    chooser: ProfileChooser
-    step: Step
-
-
 class ActiveProfile(FrameObserver):
     """One profile, or `AUTO`: then all of `LADDER` are kept ready, so that a step builds nothing and waits for nothing.
 
     Only the main thread replaces `reconstructor`, which is a reason if there is no calibration: until there is one,
-    `choose` only stores the choice. `report` is called in the reconstruct thread: pass its `Stepped` to `step`.
+    `choose` only stores the choice. `report` is called in the reconstruct thread: pass its `Step` to `step`.
     """
 
     health_key = "budget"
@@ -161,7 +145,7 @@ class ActiveProfile(FrameObserver):
         reconstructor: Reconstructor | Reason,
         choice: str,
         budget_ms: float | None,
-        report: Callable[[Stepped], None],
+        report: Callable[[Step], None],
     ) -> None:
         self.reconstructor = reconstructor
         self._report = report
@@ -197,26 +181,24 @@ class ActiveProfile(FrameObserver):
             self.reconstructor = calibration
         elif isinstance(running, Reason):
             self._install(self.choice, calibration, {})
-        elif self._chooser is None:
-            self.reconstructor = make_reconstructor(calibration, running.profile)
         else:
-            self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
-            self.reconstructor = self._kept[self.name]
+            names = LADDER if self._chooser is not None else (running.profile.name,)
+            self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in names}
+            self.reconstructor = self._kept[running.profile.name]
 
     def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
-        self.budget_ms = budget_ms
+        self.choice, self.budget_ms = choice, budget_ms
         if unchanged or isinstance(calibration, Reason):
-            self.choice = choice
             self.use(calibration)
         else:
             self._install(choice, calibration, {})
 
-    def step(self, stepped: Stepped) -> bool:
-        """Take a step; return False if its chooser was replaced."""
-        if stepped.chooser is not self._chooser:
+    def step(self, step: Step) -> bool:
+        """Take a step; return False if its chooser was replaced meanwhile."""
+        if step.chooser is not self._chooser:
             return False
-        step, before = stepped.step, self.name
+        before = self.name
         self.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
         to = f"{'up' if step.up else 'down'} to {step.profile}"
@@ -228,12 +210,11 @@ class ActiveProfile(FrameObserver):
         if self._chooser is None:
             return None
         standing = self._chooser.standing
-        within_ms = None if standing.within_ms is None else round(standing.within_ms, 3)
         return {
             "latency_budget_ms": self.budget_ms,
             "profile": self.name,
             "kept": standing.kept,
-            "p90_ms": within_ms,
+            "p90_ms": None if standing.within_ms is None else round(standing.within_ms, 3),
             **self._steps,
         }
 
@@ -246,35 +227,34 @@ class ActiveProfile(FrameObserver):
         """Let `AUTO` judge a latency, including `own_ms` of reconstruction."""
         chooser = self._chooser
         if chooser is not None and (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
-            self._report(Stepped(chooser, step))
+            self._report(step)
 
     def log_late(self) -> None:
         """Log that even the fastest profile misses the budget, again only after `CALM_S`; call it once a second."""
-        if self._chooser is None or (within_ms := self._chooser.standing.within_ms) is None:
+        chooser = self._chooser
+        if chooser is None or chooser.standing.within_ms is None:
             return
-        budget_ms, late = self._chooser.budget_ms, self._chooser.standing.kept is False
+        late = chooser.standing.kept is False
         self._calm_s = 0 if late else self._calm_s + 1
         if self._calm_s >= CALM_S:
             self._late_logged = False
-        if late and self._chooser.lowest and not self._late_logged:
+        if late and chooser.lowest and not self._late_logged:
             self._late_logged = True
-            profile = self._chooser.profile
             found = "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms"
-            _log.warning(found, profile, budget_ms, within_ms)
+            _log.warning(found, chooser.profile, chooser.budget_ms, chooser.standing.within_ms)
 
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
         """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
         self.choice, self._late_logged, self._calm_s = choice, False, 0
-        self._chooser = None
+        names = LADDER if choice == AUTO and self.budget_ms is not None else (choice,)
+        self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in names}
         if choice != AUTO or self.budget_ms is None:
-            self._kept = {}
-            self.reconstructor = ready.get(choice) or make_reconstructor(calibration, PROFILES[choice])
+            self._chooser = None
+            self.reconstructor = self._kept[choice]
             return
-        self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
         costs_ms = {name: step_cost_ms(made) for name, made in self._kept.items()}
-        chooser = ProfileChooser(self.budget_ms, costs_ms)
+        chooser = self._chooser = ProfileChooser(self.budget_ms, costs_ms)
         self.reconstructor = self._kept[chooser.profile]
-        self._chooser = chooser
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         start = "profile %s: starting with %s for a budget of %g ms; measured costs: %s"
         _log.info(start, AUTO, chooser.profile, self.budget_ms, costs)

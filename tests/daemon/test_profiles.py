@@ -23,7 +23,6 @@ from tacshade_edge.daemon.profiles import (
     ActiveProfile,
     ProfileChooser,
     Step,
-    Stepped,
 )
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -177,7 +176,7 @@ class Daemon:
 
     def __init__(self, calibration: Calibration, choice: str = AUTO, budget_ms: float | None = BUDGET_MS) -> None:
         made = make_reconstructor(calibration, PROFILES[CHEAPEST])
-        self.stepped: list[Stepped] = []
+        self.stepped: list[Step] = []
         self.active = ActiveProfile(made, choice, budget_ms, self.stepped.append)
         self.now_ns = 0
 

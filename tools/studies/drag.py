@@ -125,8 +125,8 @@ def _true_motion(frame: SimulatedFrame, truth: Truth) -> tuple[float, float, flo
     shear = frame.shear_mm(rows[some].astype(float), cols[some].astype(float)).T
     one, count = np.array([0]), np.array([shear.shape[1]])
     points = about_mean(truth.points_mm[some, :2].T, one, count)[1]
-    (motion,) = rigid_motions(points, np.asarray(shear, np.float32), one, count)
-    return (*motion.shear_mm, math.nan if motion.twist_deg is None else motion.twist_deg)
+    (shear_mm,), (twist_deg,), _ = rigid_motions(points, np.asarray(shear, np.float32), one, count)
+    return (*shear_mm, math.nan if twist_deg is None else twist_deg)
 
 
 def _found_motion(result: Reconstruction) -> tuple[float, float, float]:

@@ -1,7 +1,7 @@
 """Save time on frames in which nothing touches: the gate decides nothing that a network would see.
 
-Every profile has the same gate, on the same halved pictures. It asks how much of the skin's picture changed, in
-whatever direction, and closes only where a network would find nothing as deep as docs/results/limits.md promises.
+Every profile has the same gate, on the same halved pictures. It asks how much of the skin's picture changed, and closes
+only where a network would find nothing as deep as docs/results/limits.md promises.
 """
 
 from __future__ import annotations
@@ -19,17 +19,12 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, U8, Calibration, Disc
 
 GATE_PART, GATE_NOISE = 0.04, 6.0
-"""Part of the pixels that must have changed colour to ask a network, beyond what the sensor's references show and this
-many times their noise (of 255). With the noise that few references are assumed to have, the level is 0.064. The least
-change in which a network found 0.3 mm: 0.07 (tactile-manibot), 0.18 (TacTipFlexSim, a simulated TacTip), 0.25 (raw
-TacTips), 0.27 (two simulated TacShades). The most at rest: 0.01; warm-up 0.05, the dent that a release leaves 0.18,
-moved by 1 px 0.12 at 640x480 and 0.23 at 320x240."""
-PLAIN_PART, PLAIN_NOISE = 0.13, 24.0
-"""The same, for a contact where no network decides."""
-SURE_PART = 0.3
-"""Part of the pixels beyond which no network need decide whether there is a contact."""
-GATE_MM2 = 3.0
-"""Least area of skin that has changed."""
+"""Part of the pixels that must have changed to ask a network, beyond what the references show and this many times
+their noise (of 255). The least change in which a network found 0.3 mm: 0.07 to 0.27. The most at rest: 0.01; warm-up
+0.05, the dent that a release leaves 0.18, moved by 1 px 0.12 at 640x480 and 0.23 at 320x240."""
+PLAIN_PART, PLAIN_NOISE = 0.13, 24.0  # the same, for a contact where no network decides
+SURE_PART = 0.3  # part of the pixels beyond which no network need decide whether there is a contact
+GATE_MM2 = 3.0  # least area of skin that has changed
 UNCHANGED_LEVELS = 8.0
 """Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6, four deviations. A
 press that grows by a few hundredths of a millimetre changes more, so no contact is found later."""
@@ -37,9 +32,8 @@ _AROUND = 1.35
 
 
 class ContactGate:
-    """The gate of one sensor. `preprocessor`: of the images that the gate sees; `gate_preprocessor` in use.
-    `least_part`, `plain_part`: part of the pixels that must have changed for a network to look, and for a contact
-    without one.
+    """The gate of one sensor, with the preprocessor of its images (`gate_preprocessor`). `least_part`, `plain_part`:
+    part of the pixels that must have changed for a network to look, and for a contact without one.
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
@@ -80,11 +74,8 @@ def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocess
 
 class UnchangedSkin:
     """The latest untouched skin judged in full, which saves judging most frames: all judges give the same result.
-
-    Frames are compared with that one, so slow changes add up.
-
-    `shape`: rows and columns of the images. `halved`: whether the images are already halved: the camera's noise is half
-    as large there. `degraded`: why that frame was degraded; None if it was not.
+    Frames are compared with that one, so slow changes add up. `halved`: the images, of this `shape`, are already
+    halved. `degraded`: why that frame was degraded; None if it was not.
     """
 
     def __init__(self, shape: tuple[int, ...], disc: Disc, halved: bool) -> None:

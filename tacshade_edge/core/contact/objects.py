@@ -1,11 +1,9 @@
-"""Make object clouds: the paper's two-means split of heights, one label for every connected contact, and a plane and a
-planar motion for each.
-"""
+"""Make object clouds: the contact, one label for every connected part, and a plane and a planar motion for each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,26 +12,12 @@ from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, skin_planes
 from tacshade_edge.types import F32, F64, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, frozen
 
-TWIST_CELLS = 6
-"""Least number of cells for a twist."""
+TWIST_CELLS = 6  # least number of cells for a twist
 BINS = 256
-# Smaller patches are no objects.
-MIN_OBJECT_MM2 = 0.5
+MIN_OBJECT_MM2 = 0.5  # smaller patches are no objects
 LABELS_MAX = np.iinfo(np.uint16).max
 
 Box = tuple[slice, slice]
-
-
-@dataclass(frozen=True, slots=True)
-class RigidMotion:
-    """The motion of one object's contact since the reference: mean shear of its points; angle about z, from x towards
-    y, of the least-squares rotation about their mean (None below `TWIST_CELLS`); RMS of the motion beyond both, 0 for
-    skin that an object holds.
-    """
-
-    shear_mm: tuple[float, float]
-    twist_deg: float | None
-    strain_mm: float
 
 
 def about_mean(values: F32, starts: I64, counts: I64) -> tuple[F64, F64]:
@@ -43,45 +27,43 @@ def about_mean(values: F32, starts: I64, counts: I64) -> tuple[F64, F64]:
 
 
 def normals(about_mean_mm: F64, starts: I64) -> F64:
-    """Unit normals (objects, 3) of the planes through each object's points, away from the camera (z not below 0). Takes
-    points (3, N) less their object's mean, and the index of each object's first point; no object is empty.
+    """Unit normals (objects, 3) of the planes through each object's points (3, N) less their mean, away from the
+    camera; no object is empty.
     """
-    ends = [*starts[1:].tolist(), about_mean_mm.shape[1]]
-    objects = [about_mean_mm[:, start:end] for start, end in zip(starts.tolist(), ends, strict=True)]
-    covariance = np.stack([points @ points.T for points in objects])
+    covariance = np.stack([points @ points.T for points in np.split(about_mean_mm, starts[1:], axis=1)])
     least: F64 = np.linalg.eigh(covariance)[1][:, :, 0]
     return least * np.where(least[:, 2:] < 0, -1.0, 1.0)
 
 
-def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -> tuple[RigidMotion, ...]:
-    """Fit a motion to the points of each object: present x and y (2, N) less their object's mean, and their shear (2,
-    N), object by object; index of each object's first point and number of its points, none empty.
+def rigid_motions(
+    about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64
+) -> tuple[list[tuple[float, float]], list[float | None], list[float]]:
+    """Mean shear of each object's contact; angle in degrees about z, from x towards y, of the least-squares rotation
+    about the mean (None below `TWIST_CELLS`); RMS in mm of the motion beyond both. Takes x and y (2, N) less their
+    mean, and shear.
     """
-
-    def sums(values: F64) -> F64:
-        return np.asarray(np.add.reduceat(values, starts))
-
     now = about_mean_mm
     shear, moved = about_mean(shear_mm, starts, counts)
     before = now - moved
-    # Umeyama 1991, in the plane: these two are proportional to the cosine and sine of the angle.
-    along = sums(before[0] * now[0] + before[1] * now[1])
-    across = sums(before[0] * now[1] - before[1] * now[0])
-    left = sums(np.sum(before**2 + now**2, axis=0)) - 2 * np.hypot(along, across)
-    strain = np.sqrt(np.maximum(left, 0) / counts)
-    twist = np.degrees(np.arctan2(across, along))
-    return tuple(
-        RigidMotion((x, y), angle if count >= TWIST_CELLS else None, rest)
-        for x, y, angle, count, rest in zip(
-            *shear.tolist(), twist.tolist(), counts.tolist(), strain.tolist(), strict=True
+    # Umeyama 1991, in the plane: the first two are proportional to the cosine and sine of the angle.
+    along, across, squares = (
+        np.add.reduceat(values, starts)
+        for values in (
+            before[0] * now[0] + before[1] * now[1],
+            before[0] * now[1] - before[1] * now[0],
+            np.sum(before**2 + now**2, axis=0),
         )
     )
+    strain = np.sqrt(np.maximum(squares - 2 * np.hypot(along, across), 0) / counts)
+    twist = np.degrees(np.arctan2(across, along)).tolist()
+    known = [angle if count >= TWIST_CELLS else None for angle, count in zip(twist, counts.tolist(), strict=True)]
+    return [(x, y) for x, y in shear.T.tolist()], known, strain.tolist()
 
 
 @frozen
 class Objects:
-    """All objects in contact: their cells, their points ordered by label, their description (the largest first, at
-    least one) and the volume displaced under them.
+    """All objects in contact: their cells, points ordered by label, description (the largest first, at least one),
+    volume displaced.
     """
 
     contact: Bool
@@ -92,7 +74,7 @@ class Objects:
 
 def contact_of(depth: Depth, inside: Bool) -> Bool:
     """Cells where the skin touches an object: the solver's contact, else the paper's split of the heights as found
-    (clipped ones would all be equal for a great α). Untrusted cells have no contact.
+    (clipped ones would all be equal for a great α), without untrusted cells.
     """
     if depth.contact is None:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
@@ -105,16 +87,11 @@ def find_objects(
     contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
     """Separate the objects in contact, with points of their skin; None if nothing touches. `contact` holds only cells
-    with a height; heights are at most r, shear is (rows, cols, 2).
+    with a height; shear is (rows, cols, 2).
     """
     box = bounding_box(contact)
-    return None if box is None else objects_in(box, contact, height_mm, shear_mm, rays, geometry)
-
-
-def objects_in(
-    box: Box, contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
-) -> Objects | None:
-    """`find_objects` within a box; all boxes that hold the contact and a cell around it give the same result."""
+    if box is None:
+        return None
     height = np.ascontiguousarray(height_mm[box])
     planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
@@ -142,10 +119,8 @@ def bounding_box(contact: Bool) -> Box | None:
 
 def two_means_split(values: F32) -> float:
     """The threshold of k-means with k = 2 over finite values, the paper's separation of object and skin; infinity
-    without two different values.
-
-    In one dimension each cluster is an interval, so minimising the variance within both means maximising that between
-    them, Otsu's criterion: every threshold of a histogram is tried, and no seed needed.
+    without two different values. It maximises the variance between the clusters (Otsu), over every threshold of a
+    histogram.
     """
     if values.size == 0:
         return float("inf")
@@ -169,8 +144,8 @@ def two_means_split(values: F32) -> float:
 
 
 def label_objects(contact: Bool, cell_area: F32) -> U16:
-    """Number the connected contacts (8-neighbours) from 1, the largest area first; 0 outside. Drops patches below 0.5
-    mm², and those beyond the 65535 objects that a cloud can number.
+    """Number the connected contacts (8-neighbours) from 1, the largest area first; 0 outside, in patches below 0.5 mm²,
+    and beyond the 65535 objects that a cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
@@ -193,8 +168,8 @@ def cells_by_label(labels: U16) -> I64:
 def _described(
     x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32, shear_mm: F32 | None
 ) -> tuple[TouchedObject, ...]:
-    """Centroid, extent, depth, area and motion of every labelled contact, from points (3, N), their labels in order and
-    without gaps, and height, area of skin and shear (2, N) there.
+    """The labelled contacts, from points (3, N), their labels in order and without gaps, and height, area of skin and
+    shear (2, N) there.
     """
     numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
     ends = labels.searchsorted(numbers, side="right")
@@ -206,29 +181,11 @@ def _described(
     extents = highest.astype(np.float64) - lowest
     depths = np.maximum.reduceat(height_mm, starts)
     areas = np.add.reduceat(cell_area, starts, dtype=np.float64)
-    columns = (
-        middles.T.tolist(),
-        extents.T.tolist(),
-        depths.tolist(),
-        areas.tolist(),
-        normals(points, starts).tolist(),
-    )
-    motions: Sequence[RigidMotion | None] = [None] * len(starts)
+    parts: list[Sequence[Any]] = [
+        *(list(zip(*values.tolist(), strict=True)) for values in (middles, extents)),
+        *(values.tolist() for values in (depths, areas)),
+        list(zip(*normals(points, starts).T.tolist(), strict=True)),
+    ]
     if shear_mm is not None:
-        motions = rigid_motions(points[:2], shear_mm, starts, counts)
-    return tuple(
-        TouchedObject(
-            label,
-            (middle[0], middle[1], middle[2]),
-            (extent[0], extent[1], extent[2]),
-            depth,
-            area,
-            (normal[0], normal[1], normal[2]),
-            None if motion is None else motion.shear_mm,
-            None if motion is None else motion.twist_deg,
-            None if motion is None else motion.strain_mm,
-        )
-        for label, ((middle, extent, depth, area, normal), motion) in enumerate(
-            zip(zip(*columns, strict=True), motions, strict=True), start=1
-        )
-    )
+        parts += rigid_motions(points[:2], shear_mm, starts, counts)
+    return tuple(TouchedObject(label, *values) for label, values in enumerate(zip(*parts, strict=True), start=1))

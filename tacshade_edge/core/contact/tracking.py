@@ -1,24 +1,13 @@
-"""Track objects from frame to frame: a number for each while it touches, its slip, and how firmly it is held.
+"""Track objects from frame to frame: a number for each while it touches, its slip, and its margin before it slips.
 
-Skin that an object holds stays under it: the mean of the touched skin's places in the reference, the imprint's place in
-the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
-that mean moves with the speed of the slip. Friction drags the skin in the direction of the slide: an imprint that moves
-over undragged skin, or against its drag, belongs to a contact that grows or shrinks on one side.
+The mean of the touched skin's places in the reference, the imprint's place in the material, stands still while an
+object holds its skin, and moves with the speed of the slip when it slides. Friction drags the skin in the direction of
+the slide: an imprint that moves over undragged skin, or against its drag, belongs to a contact that grows or shrinks on
+one side. Skin that goes back faster than its depth explains is being unloaded: else a shaken object would seem to slip.
 
-By Coulomb's law a sliding contact bears its limit, which follows its depth: skin that goes back faster than the depth
-explains is being unloaded. Without this, a shaken object would seem to slip whenever it swings back, because networks
-underestimate the motion of an object's place with its drag.
-
-Estimate how firmly an object is held: its margin before it slips, from the loads that shear and depth show.
-
-On skin that behaves like independent springs (Winkler's foundation), the normal load of a contact follows its depth and
-the tangential load its shear: by Coulomb's law it slides at some ratio of the two, friction times the ratio of the
-springs' stiffnesses. This limit differs between skins and objects. The contact shows it when it slides; before that,
-`LIMIT` is assumed. A load borne without a slide shows that the limit is higher, if it was borne for a while or went
-back, because a sliding contact keeps its ratio.
-
-The shrinking of the sticking part before the whole contact slides (Cattaneo 1938; Mindlin 1949) does not help: the
-networks' shear has the same relative strain whether half of the contact sticks or nothing does.
+On skin like independent springs (Winkler's foundation), normal load follows depth and tangential load shear: by
+Coulomb's law it slides at some ratio of the two, which shows when it slides; before that, `LIMIT` is assumed. A load
+borne without a slide shows a higher limit, if it was borne for a while or went back.
 """
 
 from __future__ import annotations
@@ -32,40 +21,26 @@ import numpy as np
 
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
-ALARM = 0.25
-"""Margin below which a contact is about to slip."""
-LIMIT = 0.65
-"""Assumed ratio of mean shear to greatest depth at which a contact slides: a low one among simulated skins."""
-LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2
-"""Least learned limit and least depth to divide by; less is noise."""
-FILTER_NS = 80_000_000
-"""Time constant of the ratio's low pass."""
-SLIDE_NS = 60_000_000
-"""Least duration of a slide: a shaken object seems to slide for a frame or two."""
+ALARM = 0.25  # margin below which a contact is about to slip
+LIMIT = 0.65  # assumed ratio of mean shear to greatest depth at which a contact slides: a low one among simulated skins
+LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2  # least learned limit and least depth to divide by; less is noise
+FILTER_NS = 80_000_000  # time constant of the ratio's low pass
+SLIDE_NS = 60_000_000  # least duration of a slide: a shaken object seems to slide for a frame or two
 
-WENT_BACK = 0.85
-"""If the ratio falls below this part of its peak without a slide, the peak was borne."""
+WENT_BACK = 0.85  # if the ratio falls below this part of its peak without a slide, the peak was borne
 BORNE_NS, BEYOND = 2_000_000_000, 1.5
 """A ratio held this long without a slide was borne too; before any slide, the limit is assumed this factor above it."""
-SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
-"""Spans over which a speed is measured, or over `LEAST_FRAMES` if those take longer: the shortest span that stands out
-of the noise shows a slip, a fast one within 100 ms at 30 frames a second or more."""
+SPANS_NS = (70_000_000, 150_000_000, 250_000_000)  # of a speed; the shortest that stands out of the noise shows a slip
 LEAST_FRAMES = 3
-SLIP_MM_S = 3.0
-"""Least speed of the imprint over the material that is a slip."""
-LEAST_SHEAR_MM = 0.3
-"""Least drag of the skin under a sliding contact."""
-FULL_PART = 0.6
-"""Least part of its motion that a wholly sliding contact makes over the material; a partly held one makes less."""
-NOISE_SPREADS = 5.5
-"""Speeds from noise alone are below this many standard deviations in all but one of a million frames."""
+SLIP_MM_S = 3.0  # least speed of the imprint over the material that is a slip
+LEAST_SHEAR_MM = 0.3  # least drag of the skin under a sliding contact
+FULL_PART = 0.6  # least part of its motion that a wholly sliding contact makes over the material
+NOISE_SPREADS = 5.5  # speeds from noise alone are below this many deviations in all but one of a million frames
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
 """Initial noise of an imprint's place along each axis, and the number of frames over which it is learned."""
-PARTIAL_STRAIN = 0.12
-"""Ratio of strain to shear above which only part of the contact holds."""
+PARTIAL_STRAIN = 0.12  # ratio of strain to shear above which only part of the contact holds
 PARTIAL_MM = 0.15
-REACH_MM = 4.0
-"""Greatest distance of an object's place from that a frame ago."""
+REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
 
 
 @dataclass(slots=True)
@@ -77,14 +52,11 @@ class Grip:
     limit: float = LIMIT
     _ratio: float = 0.0
     _t_ns: int | None = None
-    _since_ns: int | None = None
-    """Time at which the slide began."""
+    _since_ns: int | None = None  # time at which the slide began
     _slides: bool = False
     _beyond: float = BEYOND
-    _peak: float = 0.0
-    """Greatest ratio since the last one that went back."""
-    _lately: deque[tuple[int, float]] = field(default_factory=deque)
-    """Times and ratios of the last `BORNE_NS`."""
+    _peak: float = 0.0  # greatest ratio since the last one that went back
+    _lately: deque[tuple[int, float]] = field(default_factory=deque)  # times and ratios of the last `BORNE_NS`
 
     def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
         """Update the hold with a frame (its time, mean shear, greatest h and slip), and return the margin from 1 (firm)
@@ -97,16 +69,12 @@ class Grip:
         else:
             self._ratio += (ratio - self._ratio) * -math.expm1((self._t_ns - t_ns) / FILTER_NS)
         self._t_ns = t_ns
-        if slip is not Slip.FULL:
-            self._since_ns = None
-        elif self._since_ns is None:
-            self._since_ns = t_ns
+        self._since_ns = None if slip is not Slip.FULL else t_ns if self._since_ns is None else self._since_ns
         slid, self._slides = self._slides, self._since_ns is not None and t_ns - self._since_ns >= SLIDE_NS
         if self._slides:
             self.limit = max(self._ratio, self.limit if slid else LEAST_LIMIT)
-            self._beyond = 1.0
+            self._beyond, self._peak = 1.0, 0.0
             self._lately.clear()
-            self._peak = 0.0
             return 0.0
         self._lately.append((t_ns, self._ratio))
         self._peak = max(self._peak, self._ratio)
@@ -131,11 +99,9 @@ _Seen = deque[tuple[int, float, float, float, float, float]]
 @dataclass(slots=True)
 class _Track:
     number: int
-    seen: _Seen = field(default_factory=deque)
-    """Time, the imprint's place in the material, the contact's place, and its depth."""
+    seen: _Seen = field(default_factory=deque)  # time, the imprint's place in the material, the contact's place, depth
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
-    slip: Slip = Slip.STICK
     grip: Grip = field(default_factory=Grip)
 
 
@@ -150,11 +116,10 @@ class ContactTracker:
         """Give a frame's objects, which come in any order with their shear, a number that is never used again, slip,
         its speed (None until known) and margin; objects that are not among them are released.
         """
-        left = list(self._tracks)
-        followed = []
+        left, followed = list(self._tracks), []
         for touched in objects:
-            track = _nearest(left, touched)
-            if track is None:
+            track = min(left, key=lambda one: math.dist(one.at_mm, touched.centroid_mm[:2]), default=None)
+            if track is None or math.dist(track.at_mm, touched.centroid_mm[:2]) > REACH_MM:
                 self._count += 1
                 track = _Track(self._count)
             else:
@@ -162,13 +127,6 @@ class ContactTracker:
             followed.append(track)
         self._tracks = followed
         return tuple(_followed(track, t_ns, touched) for track, touched in zip(followed, objects, strict=True))
-
-
-def _nearest(tracks: Sequence[_Track], touched: TouchedObject) -> _Track | None:
-    """The track that an object continues; None if none is in reach."""
-    distances = [math.dist(track.at_mm, touched.centroid_mm[:2]) for track in tracks]
-    least = min(distances, default=math.inf)
-    return tracks[distances.index(least)] if least <= REACH_MM else None
 
 
 def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject:
@@ -184,15 +142,10 @@ def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject
         track.seen.popleft()
     track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
     slides, speed = _slide(track.seen, track.noise_mm2, shear_mm)
-    size = math.hypot(*shear_mm)
-    if slides:
-        track.slip = Slip.FULL
-    elif (touched.strain_mm or 0.0) > max(PARTIAL_MM, PARTIAL_STRAIN * size):
-        track.slip = Slip.PARTIAL
-    else:
-        track.slip = Slip.STICK
-    margin = track.grip.step(t_ns, shear_mm, depth_mm, track.slip)
-    return replace(touched, id=track.number, slip=track.slip, slip_mm_s=speed, margin=margin)
+    partly = (touched.strain_mm or 0.0) > max(PARTIAL_MM, PARTIAL_STRAIN * math.hypot(*shear_mm))
+    slip = Slip.FULL if slides else Slip.PARTIAL if partly else Slip.STICK
+    margin = track.grip.step(t_ns, shear_mm, depth_mm, slip)
+    return replace(touched, id=track.number, slip=slip, slip_mm_s=speed, margin=margin)
 
 
 def _noise_mm2(seen: _Seen, known_mm2: float) -> float:

@@ -45,23 +45,9 @@ def test_it_asks_how_much_changed_and_not_in_which_direction(name: str) -> None:
     assert changed_part(image, polarity="dark") == changed_part(image, polarity="bright") > 2 * GATE_PART
 
 
-@pytest.mark.parametrize("rows", [1, 12])
-def test_a_few_cells_open_nothing(rows: int) -> None:
-    image = unloaded().copy()
-    image[110 : 110 + rows, 150:151] = 255 - image[110 : 110 + rows, 150:151]
-    assert changed_part(image) < GATE_PART
-
-
 def test_the_gate_of_a_disc_without_cells_is_closed() -> None:
     geometry = replace(calibrated(HALF, 0).geometry, disc=Disc(500.0, 500.0, 20.0))
     assert changed_part(unloaded(), geometry=geometry) == 0.0
-
-
-def test_all_profiles_have_one_gate() -> None:
-    made = [make_reconstructor(calibrated(FULL, 0), profile) for profile in PROFILES.values()]
-    assert {each._seen.camera_px for each in made} == {2}
-    image = pressed("ball", 0.4, FULL).image
-    assert len({each._gate.changed_part(each._seen.preprocess(each._seen.grey(image))) for each in made}) == 1
 
 
 def fresh(profile: str, model: SensorModel = HALF) -> Reconstructor:
@@ -114,15 +100,6 @@ def test_a_press_that_creeps_in_is_felt_as_early(profile: str) -> None:
     assert found == each_by_itself(images, profile, HALF, need=Need.CONTACT)
     assert found[-1] is None, "the deepest is felt"
     assert known >= 3
-
-
-@pytest.mark.slow
-def test_light_that_fades_is_reported_as_early() -> None:
-    images = [camera_faults.gain(unloaded(), 1 - 0.02 * k) for k in range(40)]
-    made = fresh("balanced")
-    found = [said(made.step(Frame(k, k, k, image))) for k, image in enumerate(images)]
-    assert found == each_by_itself(images, "balanced", HALF)
-    assert found[0] != found[-1]
 
 
 def test_what_was_degraded_stays_degraded() -> None:

@@ -169,18 +169,12 @@ def noisy(speed_mm_s: float, noise_mm: float, frames: int, onset: int, seed: int
 
 
 @pytest.mark.slow
-def test_noise_alone_is_no_slip_in_three_minutes() -> None:
-    told = noisy(0.0, 0.2, 10_800, 0)
-    assert sum(b and not a for a, b in pairwise(told)) <= 1
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)])
 def test_a_slip_is_told_as_soon_as_it_stands_out_of_the_noise(
     speed_mm_s: float, noise_mm: float, within_s: float
 ) -> None:
     late = []
-    for seed in range(40):
+    for seed in range(20):
         told = noisy(speed_mm_s, noise_mm, 80, 50, seed)
         late.append(told.index(True, 50) - 50 if any(told[50:]) else math.inf)
     assert np.quantile(late, 0.95) * FRAME_NS * 1e-9 <= within_s
@@ -213,26 +207,3 @@ def test_a_contact_that_slides_in_a_part_only_does_not_slip_as_a_whole() -> None
         (found,) = followed(tracker, contact(0.2 * k, dragged_mm=1.0 + 0.1 * k), frame=k)
     assert found.slip is not Slip.FULL
     assert found.slip_mm_s == pytest.approx(6.0, abs=0.01)
-
-
-def test_skin_that_holds_in_a_part_only() -> None:
-    tracker = ContactTracker()
-    (found,) = followed(tracker, contact(0, dragged_mm=2.0, strain_mm=0.5))
-    assert found.slip is Slip.PARTIAL
-    assert found.slip_mm_s is None
-
-
-def test_a_stream_that_begins_again_has_no_speed_from_before() -> None:
-    tracker = ContactTracker()
-    for k in range(5):
-        followed(tracker, contact(0.5 * k), frame=100 + k)
-    (found,) = followed(tracker, contact(2.0), frame=0)
-    assert found.slip_mm_s is None
-
-
-def test_each_object_has_a_margin_of_its_own() -> None:
-    tracker = ContactTracker()
-    for k in range(30):
-        firm, loaded = followed(tracker, contact(-5), contact(5, dragged_mm=1.2), frame=k)
-    assert firm.margin == 1
-    assert 0 < loaded.margin < 0.25

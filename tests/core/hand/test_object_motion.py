@@ -150,13 +150,6 @@ def test_a_turn_that_nobody_saw_stays_unknown_when_a_finger_joins() -> None:
     assert stepped(at_once, SECOND_NS // 60, patches("0123", STILL)).unobserved == ()
 
 
-def test_the_motion_ends_when_nothing_touches_and_the_next_grasp_begins_anew() -> None:
-    tracker = ObjectTracker()
-    stepped(tracker, 5, patches("01", STILL))
-    assert tracker.step(6, {}) is None
-    assert stepped(tracker, 7, patches("01", about(AWAY_MM, (0, 0, 0), (1, 0, 0)))).since_ns == 7
-
-
 def test_where_every_patch_slips_the_motion_stands_still_and_nothing_is_observed() -> None:
     tracker, truth = ObjectTracker(), about(AWAY_MM, (0.0, 0.05, 0.0), (1.0, 0.0, 0.0))
     stepped(tracker, 0, patches("01234", STILL))
