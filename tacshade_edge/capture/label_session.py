@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,18 +34,18 @@ _HELP = """  Enter            record a press: press, lift, then Enter; needs a s
     done             end"""
 
 
+@dataclass(eq=False)
 class LabelSession:
     """One run of the command on a folder that may already hold an earlier run's frames. `scale`: already open."""
 
-    def __init__(
-        self, folder: LabelFolder, live: Live, terminal: Terminal, scale: Scale | None, robot: RobotLabels | None
-    ) -> None:
-        self._folder = folder
-        self._live = live
-        self._terminal = terminal
-        self._scale = scale
-        self._robot = robot
-        self._rows = folder.rows()
+    folder: LabelFolder
+    live: Live
+    terminal: Terminal
+    scale: Scale | None
+    robot: RobotLabels | None
+
+    def __post_init__(self) -> None:
+        self._rows = self.folder.rows()
         self._presses: dict[str, Press] = {}  # this run's presses by group
         self._rest: F32 = np.zeros((1, 1), np.float32)
         self._rest_change = 0.0
@@ -57,15 +57,15 @@ class LabelSession:
         ConfigError (the folder keeps what was taken before).
         """
         if self._rows:
-            self._terminal.say(f"this folder already has {len(self._rows)} labelled pictures")
+            self.terminal.say(f"this folder already has {len(self._rows)} labelled pictures")
         self._take_rest()
         while True:
             group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
-            match self._live.ask(f"press {group} (Enter, NAME=VALUE ..., touch, undo, done, help):").split():
+            match self.live.ask(f"press {group} (Enter, NAME=VALUE ..., touch, undo, done, help):").split():
                 case ["done"]:
                     break
                 case ["help" | "?"]:
-                    self._terminal.say(_HELP)
+                    self.terminal.say(_HELP)
                 case ["undo"]:
                     self._undo()
                 case ["touch"]:
@@ -77,31 +77,31 @@ class LabelSession:
         self._end()
 
     def _take_rest(self) -> None:
-        load = " or loads the scale" if self._scale else ""
+        load = " or loads the scale" if self.scale else ""
         while True:
-            self._live.ask(
-                f"Make sure that nothing touches the skin{load}; Enter takes rest{' and tare' if self._scale else ''}."
+            self.live.ask(
+                f"Make sure that nothing touches the skin{load}; Enter takes rest{' and tare' if self.scale else ''}."
             )
             since_s = time.monotonic()
-            blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
+            blocks = [block_means(to_grey(one.image)) for one in self.live.frames(STILL_FRAMES, _REST_S)]
             try:
-                self._live.rest_grey = rest_grey_of(blocks)
+                self.live.rest_grey = rest_grey_of(blocks)
             except ConfigError as error:
-                self._terminal.say(f"  rejected: {error}")
+                self.terminal.say(f"  rejected: {error}")
                 continue
             self._rest = np.mean(blocks, axis=0)
             self._rest_change = max(self._change(one) for one in blocks)
-            if self._scale is None or self._tare(self._scale, since_s):
+            if self.scale is None or self._tare(self.scale, since_s):
                 return
 
     def _tare(self, scale: Scale, since_s: float) -> bool:
         scale.check()
         tare_n, spread_n = scale.median_n(since_s)
         if math.isnan(tare_n):
-            self._terminal.say("  rejected: the scale has sent no reading since you pressed Enter")
+            self.terminal.say("  rejected: the scale has sent no reading since you pressed Enter")
             return False
         self._tare_n = tare_n
-        self._terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
+        self.terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
         return True
 
     def _change(self, blocks: F32) -> float:
@@ -113,38 +113,38 @@ class LabelSession:
         try:
             known = _parse(words)
         except ConfigError as error:
-            self._terminal.say(f"  {error} (type help)")
+            self.terminal.say(f"  {error} (type help)")
             return
-        if (frame := self._live.still_frame()) is None:
+        if (frame := self.live.still_frame()) is None:
             return
         known = {**self._robot_labels(frame), **known}
-        self._keep([LabelRow(self._folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
+        self._keep([LabelRow(self.folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
 
     def _record(self, group: str) -> None:
-        if self._scale is None and not (self._robot and self._robot.knows_first_touch):
-            expected = "touch first" if self._robot else "NAME=VALUE ..., because there is neither a scale nor a robot"
-            self._terminal.say(f"  found nothing, expected {expected} (type help)")
+        if self.scale is None and not (self.robot and self.robot.knows_first_touch):
+            expected = "touch first" if self.robot else "NAME=VALUE ..., because there is neither a scale nor a robot"
+            self.terminal.say(f"  found nothing, expected {expected} (type help)")
             return
-        self._terminal.say("  press, then lift; Enter ends the press")
+        self.terminal.say("  press, then lift; Enter ends the press")
         seen: list[tuple[float, float]] = []
         rows: list[LabelRow] = []
         posed: list[dict[str, float]] = []
         held: deque[Frame] = deque()  # each waits for the robot's pose that follows it
-        while self._terminal.line() is None:
-            frame = self._live.frame()
-            if self._scale is not None:
-                self._scale.check()
+        while self.terminal.line() is None:
+            frame = self.live.frame()
+            if self.scale is not None:
+                self.scale.check()
             change = self._change(block_means(to_grey(frame.image)))
             seen.append((frame.t_ns / 1e9, change))
             due = not rows or frame.t_ns - (rows[-1].t_ns or 0) >= _KEPT_EVERY_NS
             if change > _CHANGE_FACTOR * self._rest_change + _CHANGE_GREY and due and len(rows) < _KEPT_MAX:
-                rows.append(LabelRow(self._folder.add_image(np.array(frame.image)), {}, group, frame.t_ns))
+                rows.append(LabelRow(self.folder.add_image(np.array(frame.image)), {}, group, frame.t_ns))
                 held.append(replace(frame, image=_NO_IMAGE))
             while held and frame.t_ns - held[0].t_ns > _POSE_NS:
                 posed.append(self._robot_labels(held.popleft()))
         posed += map(self._robot_labels, held)
         if not rows:
-            self._terminal.say("  not taken: the picture shows no contact")
+            self.terminal.say("  not taken: the picture shows no contact")
             return
         t_s, changes = np.array(seen).T
         self._presses[group] = Press(t_s, changes)
@@ -152,51 +152,51 @@ class LabelSession:
 
     def _robot_labels(self, frame: Frame) -> dict[str, float]:
         try:
-            return self._robot.labels(frame) if self._robot else {}
+            return self.robot.labels(frame) if self.robot else {}
         except ConfigError as error:
             self._unposed = str(error)
             return {}
 
     def _confirm_touch(self) -> None:
-        if self._robot is None:
-            self._terminal.say("  found no robot, expected serial in the settings")
+        if self.robot is None:
+            self.terminal.say("  found no robot, expected serial in the settings")
             return
-        if (frame := self._live.still_frame()) is None:
+        if (frame := self.live.still_frame()) is None:
             return
         try:
-            self._robot.confirm_first_touch(frame)
+            self.robot.confirm_first_touch(frame)
         except ConfigError as error:
-            self._terminal.say(f"  not taken: {error}")
+            self.terminal.say(f"  not taken: {error}")
             return
-        self._terminal.say("  set first touch here")
+        self.terminal.say("  set first touch here")
 
     def _undo(self) -> None:
         if not self._rows or self._rows[-1].t_ns is None:
-            self._terminal.say("  nothing to undo since the start")
+            self.terminal.say("  nothing to undo since the start")
             return
         group = self._rows[-1].group
         removed = [row for row in self._rows if row.group == group]
         self._rows = [row for row in self._rows if row.group != group]
         self._presses.pop(group, None)
-        self._folder.write(self._with_force(), removed)
-        self._terminal.say(f"  removed press {group}: {len(removed)} pictures")
+        self.folder.write(self._with_force(), removed)
+        self.terminal.say(f"  removed press {group}: {len(removed)} pictures")
 
     def _keep(self, rows: Sequence[LabelRow]) -> None:
         self._rows += rows
         written = self._with_force()
-        self._folder.write(written)
+        self.folder.write(written)
         names = ", ".join(sorted({name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index))
-        self._terminal.say(f"  press {rows[0].group}: {len(rows)} pictures with {names or 'no quantity yet'}")
+        self.terminal.say(f"  press {rows[0].group}: {len(rows)} pictures with {names or 'no quantity yet'}")
         if self._unposed:
-            self._terminal.say(f"  some have no labels from the robot: {self._unposed}")
+            self.terminal.say(f"  some have no labels from the robot: {self._unposed}")
             self._unposed = ""
 
     def _with_force(self) -> list[LabelRow]:
         """Return the rows, with the scale's force once its clock offset is known."""
         offset = self._offset()
-        if self._scale is None or offset is None:
+        if self.scale is None or offset is None:
             return self._rows
-        rows, readings = [], self._scale.readings()
+        rows, readings = [], self.scale.readings()
         for row in self._rows:
             if row.t_ns is not None and _FORCE not in row.known:
                 force_n = force_at(row.t_ns / 1e9 + offset.offset_s, *readings)
@@ -206,10 +206,10 @@ class LabelSession:
         return rows
 
     def _offset(self) -> ClockOffset | None:
-        if self._scale is None:
+        if self.scale is None:
             return None
         try:
-            offset = find_offset(list(self._presses.values()), *self._scale.readings())
+            offset = find_offset(list(self._presses.values()), *self.scale.readings())
         except ValueError as error:
             self._unaligned = str(error)
             return None
@@ -218,17 +218,17 @@ class LabelSession:
 
     def _end(self) -> None:
         """Print the scale's tare and clock offset. Raises DeviceError if the offset cannot be found."""
-        if self._scale is None:
+        if self.scale is None:
             return
-        self._terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N")
+        self.terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N")
         offset = self._offset()
-        self._folder.write(self._with_force())
+        self.folder.write(self._with_force())
         if offset is None:
             raise DeviceError(
                 f"cannot match the scale's clock to the camera's: {self._unaligned}; "
                 f"the presses in this run have no {_FORCE}"
             )
-        self._terminal.say(
+        self.terminal.say(
             f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "
             f"standard error {1e3 * offset.error_s:.0f} ms from {offset.presses} presses"
         )

@@ -65,15 +65,14 @@ class Terminal:
             select.select([self._descriptor], [], [])
         return line
 
-    def say(self, text: str) -> None:
+    def say(self, text: str, end: str = "\n") -> None:
         """Print a line; it replaces one printed by `show`."""
-        print(f"{_CLEAR if self._shown else ''}{text}", file=self._out, flush=True)
+        print(f"{_CLEAR if self._shown else ''}{text}", end=end, file=self._out, flush=True)
         self._shown = ""
 
     def ask(self, text: str) -> None:
         """Print a prompt for the person's line."""
-        print(f"{_CLEAR if self._shown else ''}{text} ", end="", file=self._out, flush=True)
-        self._shown = ""
+        self.say(text, end=" ")
 
     def show(self, text: str) -> None:
         """Show a line that the next one replaces; only if the output is a terminal."""
@@ -109,23 +108,17 @@ class _Past:
     blocks: F32
 
 
+@dataclass(eq=False)
 class Live:
-    """An open source whose frames are read during every wait.
+    """An open source whose frames are read during every wait."""
 
-    `source`: already open. `circle`: the visible circle that SENSOR.yaml states; None to find it in the picture.
-    `rest_grey`: `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that.
-    """
+    source: FrameSource
+    terminal: Terminal
+    page: Page
+    circle: Disc | None  # that SENSOR.yaml states; None to find it in the picture
+    rest_grey: float = 0.0  # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
 
-    def __init__(
-        self,
-        source: FrameSource,
-        terminal: Terminal,
-        page: Page,
-        circle: Disc | None,
-    ) -> None:
-        self._source = source
-        self._terminal = terminal
-        self._page = page
+    def __post_init__(self) -> None:
         self._past: deque[_Past] = deque(maxlen=_PAST_FRAMES)
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
@@ -133,8 +126,6 @@ class Live:
         self._focus_best = 0.0
         self._text = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
-        self.rest_grey = 0.0
-        self._circle = circle
 
     def frame(self) -> Frame:
         """Read the next frame. Raises DeviceError (the camera was lost, delivers only unusable pictures, changed its
@@ -142,9 +133,9 @@ class Live:
         """
         for _ in range(_UNUSABLE_MAX):
             try:
-                frame = self._source.read()
+                frame = self.source.read()
             except DecodeError as error:
-                self._terminal.show(str(error))
+                self.terminal.show(str(error))
                 continue
             if frame is None:
                 raise DeviceError("the frame source has no more frames")
@@ -157,12 +148,12 @@ class Live:
         `with_figures`: show the figures live in place of a prompt, for questions that only Enter answers.
         """
         self._looking = with_figures
-        (self._terminal.say if with_figures else self._terminal.ask)(text)
+        (self.terminal.say if with_figures else self.terminal.ask)(text)
         while True:
             self.frame()
             if with_figures:
-                self._terminal.show(self._text)
-            if (line := self._terminal.line()) is not None:
+                self.terminal.show(self._text)
+            if (line := self.terminal.line()) is not None:
                 self._looking = False
                 return line
 
@@ -177,13 +168,13 @@ class Live:
             motion = self._motion_grey()
             if motion is not None and stands_still(motion, self.rest_grey):
                 return frame
-            if self._terminal.line() is not None:
-                self._terminal.say("  cancelled: took no picture")
+            if self.terminal.line() is not None:
+                self.terminal.say("  cancelled: took no picture")
                 return None
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
                 figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"
-                self._terminal.say(f"  the picture still moves ({figures}): clamp the indenter; Enter cancels")
+                self.terminal.say(f"  the picture still moves ({figures}): clamp the indenter; Enter cancels")
 
     def frames(self, count: int, seconds: float) -> list[Frame]:
         """Return `count` frames spread over at least `seconds`."""
@@ -197,7 +188,7 @@ class Live:
     @property
     def has_circle(self) -> bool:
         """Whether a visible circle is stated, or found with a pattern in it."""
-        return self._circle is not None or self._pattern is not None
+        return self.circle is not None or self._pattern is not None
 
     def _motion_grey(self) -> float | None:
         """Motion within the last `STILL_S`, in grey levels; None until enough frames have come."""
@@ -222,13 +213,13 @@ class Live:
             self._text = self._figures_of(grey)
             self._figures_due_s = now_s + _FIGURES_S
         if now_s >= self._picture_due_s:
-            disc = self._circle or (self._pattern.disc if self._pattern else None)
-            self._page.shown = Shown(_jpeg(grey, disc), self._text)
+            disc = self.circle or (self._pattern.disc if self._pattern else None)
+            self.page.shown = Shown(_jpeg(grey, disc), self._text)
             self._picture_due_s = now_s + _PICTURE_S
 
     def _find_pattern(self, grey: U8) -> None:
         try:
-            self._pattern = find_pattern(grey, self._circle)
+            self._pattern = find_pattern(grey, self.circle)
         except ConfigError as error:
             self._pattern, self._no_pattern = None, str(error)
 

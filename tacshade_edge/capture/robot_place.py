@@ -24,27 +24,18 @@ Name = tuple[str, str]
 """Indenter and radius, as in PRESSES.csv."""
 
 
-class _Held:
-    """A sensor that a robot holds."""
-
-    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
-        self._skin_radius_mm = sensor.skin_radius_mm
-        self._flange_T_sensor = from_seven(sensor.flange_T_sensor)
-        self._pose_at = pose_at
-
-    def _base_T_sensor(self, frame: Frame) -> Rigid:
-        """The sensor's pose in the robot's base frame. Raises ConfigError with the reason if it is unknown."""
-        pose = self._pose_at(frame)
-        if isinstance(pose, str):
-            raise ConfigError(pose)
-        return of_pose(pose) @ self._flange_T_sensor
+def _base_T_sensor(sensor: Sensor, pose: Pose | str) -> Rigid:
+    """The pose of a sensor that a robot holds. Raises ConfigError with the reason if it is unknown."""
+    if isinstance(pose, str):
+        raise ConfigError(pose)
+    return of_pose(pose) @ from_seven(sensor.flange_T_sensor)
 
 
-class RobotPlaces(_Held):
+class RobotPlaces:
     """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others."""
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
-        super().__init__(sensor, pose_at)
+        self._sensor, self._pose_at = sensor, pose_at
         self._fixed: dict[Name, FixedIndenter] = {}
 
     def known(self, name: Name) -> bool:
@@ -57,33 +48,35 @@ class RobotPlaces(_Held):
         if not x_mm or any(more):
             return ""
         try:
-            held = self._base_T_sensor(frame)
+            held = _base_T_sensor(self._sensor, self._pose_at(frame))
         except ConfigError as error:
             return str(error)
         stated = Touch(float(x_mm), float(y_mm), float(depth_mm))
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
-        self._fixed[indenter, radius_mm] = fixed_indenter(held, stated, ball_radius_mm, self._skin_radius_mm)
+        self._fixed[indenter, radius_mm] = fixed_indenter(held, stated, ball_radius_mm, self._sensor.skin_radius_mm)
         return ""
 
     def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:
         """Return the columns of PRESSES.csv for a press of a known indenter. Raises ConfigError."""
-        fixed, held = self._fixed[name], self._base_T_sensor(frame)
+        fixed, held = self._fixed[name], _base_T_sensor(self._sensor, self._pose_at(frame))
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
             expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter other than a ball"
             raise ConfigError(
                 f"found a sensor rotation of {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
             )
         try:
-            touch = fixed.touch(held, self._skin_radius_mm)
+            touch = fixed.touch(held, self._sensor.skin_radius_mm)
         except ValueError as error:
             raise ConfigError(f"the robot's pose: {error}") from None
         return *name, f"{touch.depth_mm:.3f}", f"{touch.x_mm:.3f}", f"{touch.y_mm:.3f}"
 
 
-class RobotLabels(_Held):
+class RobotLabels:
     """Labels relative to the pose at first touch."""
 
-    _first: Rigid | None = None
+    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+        self._sensor, self._pose_at = sensor, pose_at
+        self._first: Rigid | None = None
 
     @property
     def knows_first_touch(self) -> bool:
@@ -92,13 +85,15 @@ class RobotLabels(_Held):
 
     def confirm_first_touch(self, frame: Frame) -> None:
         """Keep the pose of a frame in which the skin just touches. Raises ConfigError."""
-        self._first = self._base_T_sensor(frame)
+        self._first = _base_T_sensor(self._sensor, self._pose_at(frame))
 
     def labels(self, frame: Frame) -> dict[str, float]:
         """Return the labels of `labels_between`; none before the first touch is confirmed. Raises ConfigError."""
         if self._first is None:
             return {}
-        return labels_between(self._first, self._base_T_sensor(frame), self._skin_radius_mm)
+        return labels_between(
+            self._first, _base_T_sensor(self._sensor, self._pose_at(frame)), self._sensor.skin_radius_mm
+        )
 
 
 def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:

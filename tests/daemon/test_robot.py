@@ -387,7 +387,7 @@ def test_what_is_refused(bench: Bench) -> None:
     )
     assert bench.ask("TOUCH ON depth_mm 500") == (
         "ERR 4 REFUSED found 34500 bytes/s (500 events/s of up to 69 bytes), expected at most 10368 bytes/s (90 % of "
-        "115200 baud); use a RATE of at most 150, fewer names or a faster line"
+        "115200 baud); use a lower RATE, fewer names or a faster line"
     )
     assert not bench.robot.need()
     bench.missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: do that")

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         sensor = _sensor(folder, terminal)
         indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
-        plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
+        plan = list(read_plan(args.plan, indenters, sensor.skin_radius_mm)) if args.plan else []
         with _camera(folder, source, serial, terminal, sensor) as live, _robot_poses(serial) as pose_at:
             if args.labels is None:
                 places = RobotPlaces(sensor, pose_at) if pose_at else None

@@ -111,20 +111,6 @@ def _opened(device: str) -> Iterator[int]:
         os.close(fd)
 
 
-def switched_off(device: str, control_id: int) -> int | None:
-    """Set a control to 0 and return what it is then; None if the driver lacks it, or the node cannot be opened."""
-    packed = bytearray(struct.pack("=Ii", control_id, 0))
-    try:
-        with _opened(device) as fd:
-            fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
-            with suppress(OSError):  # read-only, or the driver refuses: the value read back says so
-                fcntl.ioctl(fd, _VIDIOC_S_CTRL, bytearray(struct.pack("=Ii", control_id, 0)))
-            fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
-    except (OSError, ConfigError, DeviceError):
-        return None
-    return int(struct.unpack("=Ii", packed)[1])
-
-
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
 # What OpenCV cannot set: linux/v4l2-controls.h (FOCUS_AUTO, AUTOGAIN, BACKLIGHT_COMPENSATION, EXPOSURE_AUTO_PRIORITY,
 # AUTOBRIGHTNESS, WIDE_DYNAMIC_RANGE, IMAGE_STABILIZATION).
@@ -191,9 +177,23 @@ def lock_white_balance(capture: Properties) -> Control:
 
 def lock_others(device: str) -> dict[str, Control]:
     """Switch off everything else that a camera changes by itself, by the names of `AUTOMATICS`."""
-    found = {name: switched_off(device, control_id) for name, control_id in AUTOMATICS.items()}
-    locks = {None: Lock.NO_CONTROL, 0: Lock.LOCKED}
-    return {name: Control(locks.get(value, Lock.AUTOMATIC)) for name, value in found.items()}
+    found: dict[str, Control] = {}
+    try:
+        with _opened(device) as fd:
+            for name, control_id in AUTOMATICS.items():
+                off = struct.pack("=Ii", control_id, 0)
+                packed = bytearray(off)
+                try:
+                    fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
+                    with suppress(OSError):  # read-only, or the driver refuses: the value read back says so
+                        fcntl.ioctl(fd, _VIDIOC_S_CTRL, bytearray(off))
+                    fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
+                except OSError:
+                    continue  # no such control
+                found[name] = Control(Lock.AUTOMATIC if struct.unpack("=Ii", packed)[1] else Lock.LOCKED)
+    except (ConfigError, DeviceError):
+        pass
+    return {name: found.get(name, Control(Lock.NO_CONTROL)) for name in AUTOMATICS}
 
 
 def _set_if_offered(capture: Properties, control: int, value: int) -> float | None:

@@ -244,9 +244,8 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
         return None
     found = f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to {longest_bytes} bytes)"
     expected = f"expected at most {most_bytes_s:.0f} bytes/s ({100 * SHARE:g} % of {baud} baud)"
-    rate_hz = int(most_bytes_s // longest_bytes)
-    instead = f"a RATE of at most {rate_hz}, " if rate_hz else ""
-    return Reason(ReasonCode.LINE_TOO_SLOW, f"{found}, {expected}; use {instead}fewer names or a faster line")
+    text = f"{found}, {expected}; use a lower RATE, fewer names or a faster line"
+    return Reason(ReasonCode.LINE_TOO_SLOW, text)
 
 
 def event_bytes_max(names: Sequence[str]) -> int:

@@ -72,7 +72,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.hears("this folder already has 10 references and 1 press\r\n")
         one.hears("press 2, 1 planned presses left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
         one.types("skip")
-        one.hears("all planned presses are taken")
+        one.hears("press 2 (ball RADIUS_MM")
         one.types("2.5 1 -3")
         one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
         one.types("done")
