@@ -94,7 +94,7 @@ PAGES = {
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
         },
-        r"shear, no map|depth by volume|shear, by tilt|^(why$|Published)|^(References|Circle)"
+        r"shear, no map|^(why$|Published)|^(References|Circle)"
         r"|^light \| light of |of 500 \||^(fast|balanced) \| (tilt|shear) ",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),

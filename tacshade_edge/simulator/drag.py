@@ -1,18 +1,13 @@
 """Drag the skin along itself: a tangential contact problem on the skin's grid.
 
-The model is the same membrane on an elastic foundation as in `skin`: the tangential displacement w minimises
-∫ λt²|∇w|² + w² with a traction q = kt (w - λt²∇²w) where objects touch. There the skin moves with the object (sticks)
-as far as Coulomb's law |q| <= μ p allows, with the pressure p = kn (h - λ²∇²h) of the normal problem, and slides under
-it elsewhere: the static problem of friction at a given pressure (Duvaut and Lions 1976, ch. III; Johnson, Contact
-Mechanics, 1985, ch. 7). For λt = λ, the traction is the difference of two such pressures (Ciavarella 1998; Jäger 1998),
-as Cattaneo and Mindlin found for balls on a half space.
+The tangential displacement w of the membrane of `skin` minimises ∫ λt²|∇w|² + w² with a traction q = kt (w - λt²∇²w)
+where objects touch. There the skin sticks as far as Coulomb's law |q| <= μ p allows, with the pressure
+p = kn (h - λ²∇²h), and slides elsewhere: friction at a given pressure (Johnson, Contact Mechanics, 1985, ch. 7). For
+λt = λ, the traction is the difference of two such pressures (Ciavarella 1998; Jäger 1998).
 
-The dome also yields as a whole: it leans like a short beam that the housing clamps at the rim (`leant_mm`). Skin and
-dome are springs in series, so sliding skin loads neither further. A dome full of gel, which keeps its volume, bulges
-around the objects pressed into it (`bulged_mm`).
-
-The problem is static: it depends on how far an object has moved since it touched, not on its path, so a contact that
-slid sticks again at once when the object turns back.
+The dome also leans like a short beam (`leant_mm`); skin and dome are springs in series. Full of gel, it keeps its
+volume and bulges around objects (`bulged_mm`). The problem is static: a contact that slid sticks again at once when the
+object turns back.
 """
 
 from __future__ import annotations

@@ -1,12 +1,7 @@
 """Fingers that hold a moving object: its path, and the press, load, slip and skin of each finger.
 
-Pressure and traction of each contact are those of `skin` and `drag`: Coulomb's law holds at every node, and the hand
-needs no other law. Loads are in skin units (`skin.Load`).
-
-The shape of a finger's press is the object as it lies, which makes its position exact. A press states how the object
-moved since it touched as a drag and a twist: those of the material at the middle of the contact. A rotation about an
-axis along the skin would also move the rest of the contact, by at most the sine of its angle times the variation of the
-contact's height (0.6 mm over a contact of 10 mm: 0.05 mm for 5°). This is neglected.
+A press states how the object moved since it touched as a drag and a twist: those of the material at the middle of the
+contact. What a rotation about an axis along the skin does beside the middle is neglected (0.05 mm for 5°).
 """
 
 from __future__ import annotations
@@ -226,12 +221,10 @@ class Placement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerTruth:
-    """The ground truth of one finger at one time; press, centre of contact, slip and load (along the hand's axes,
-    torque about the skin's centre) are None without contact.
+    """The ground truth of one finger; press, centre, slip and load (along the hand's axes) are None without contact.
 
-    `stuck` is the part of its contact in which the skin moves with the object; 1 without contact. `margin` is 1 minus
-    the tangential load over μ times the normal load, where a twist's tractions count by their magnitudes; 0 if the
-    contact slides as a whole, or without contact.
+    `stuck` is the part of its contact that moves with the object; 1 without contact. `margin` is 1 minus the tangential
+    load over μ times the normal load; 0 if the contact slides as a whole, or without contact.
     """
 
     name: str

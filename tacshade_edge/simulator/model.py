@@ -26,24 +26,19 @@ MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
 class SensorModel:
     """The parameters of one sensor: skin, pins and markers, camera, light. Radii in pitches are radii, not diameters.
 
-    Skin: r, d (None: orthographic) and θ as in `Geometry`. λ `skin_decay_mm` is the length over which the skirt decays
-    outside a contact, λt `drag_decay_mm` that of a displacement along the skin. With `friction` 1 the skin sticks to
-    what presses it and goes along -z with it, with 0 it slides and moves along its radius; `coulomb` is μ kn / kt.
-    `sway` is the part of a drag that the whole dome takes while the skin sticks (0 to 0.9), `bulge` the part of the
-    displaced volume that bulges out at the dome's sides (1: filled with gel), `pin_lag` the part of a drag by which
-    tips of pins lag behind. `creep_part` of its deformation is how much the skin creeps under a held load, at most a
-    ninth so that the dent after a release is at most a tenth of the depth, `creep_s` (0.1 to 3) the time constant of
-    creep and recovery; only scenes that move in time (`moving_scene`) creep.
+    Skin: r, d (None: orthographic) and θ as in `Geometry`; λ `skin_decay_mm` and λt `drag_decay_mm` are lengths over
+    which displacements decay outside a contact. With `friction` 1 the skin goes along -z with what presses it, with 0
+    along its radius; `coulomb` is μ kn / kt. `sway` is the part of a drag that the whole dome takes, `bulge` the part
+    of the displaced volume that bulges out at its sides, `pin_lag` the part of a drag by which tips of pins lag behind.
+    `creep_part` is how much of its deformation creeps under a held load, `creep_s` the time constant; only scenes that
+    move in time creep.
 
-    Print: a hexagonal lattice of pins, frusta that point inwards, a pitch apart on the undeformed skin. Markers lie at
-    the centres of its triangles; if they overlap (radius over 0.29 pitches), they merge into a white ground with dark
-    dots under pins. Tolerances are standard deviations of a feature's place, and of its radius or length as a ratio.
+    Print: a hexagonal lattice of pins, frusta that point inwards, and markers at the centres of its triangles, which
+    merge over 0.29 pitches. Tolerances are standard deviations of a feature's place, and of its size as a ratio.
 
-    Image: `light` is the grey level of a feature of reflectance 1 in the middle of the disc, `vignetting` the part lost
-    at its edge, `colour_bgr` the gain of each channel (markers look bluish under most LED rings); blur and noise are
-    standard deviations, shot noise that added in quadrature at level 255. The `surround` of the visible circle is
-    ``bright`` (LED ring and housing) or ``dark``; specular spots are LED highlights inside it, which do not move with
-    the skin.
+    Image: `light` is the grey level of a feature of reflectance 1 in the middle, `vignetting` the part lost at the
+    edge, `colour_bgr` the gain of each channel; blur and noise are standard deviations, shot noise that at level 255.
+    Specular spots are LED highlights, which do not move with the skin.
     """
 
     skin_radius_mm: Positive = 20.0
@@ -109,9 +104,8 @@ class SensorModel:
 
 
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
-    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor. Pin
-    tips under a third of the pitch, or a skin that slides, would give sensors that a ball darkens; the ranges exclude
-    them (one in a hundred hardly responds to a ball).
+    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor. The
+    ranges exclude sensors that a ball darkens.
     """
     rng = np.random.default_rng(seed)
 

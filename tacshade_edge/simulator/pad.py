@@ -163,17 +163,6 @@ _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
 """The sensor looks down: its z is the base's -z, its x the base's x."""
 
 
-def varied(poses: Sequence[Rigid], skin_radius_mm: float, depth_mm: float, tilt_deg: float, seed: int) -> list[Rigid]:
-    """The same presses, each up to `depth_mm` deeper or shallower and tilted by up to `tilt_deg` about its apex."""
-    rng = np.random.default_rng((seed, 5))
-    out = []
-    for pose in poses:
-        angle, axis = math.radians(tilt_deg) * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
-        tilt = turn((angle * math.cos(axis), angle * math.sin(axis), 0.0))
-        out.append(shift(0, 0, float(rng.uniform(-depth_mm, depth_mm))) @ about_apex(pose, tilt, skin_radius_mm))
-    return out
-
-
 def disturbed(
     poses: Sequence[Rigid], skin_radius_mm: float, sigma_mm: float, sigma_deg: float, seed: int
 ) -> list[Rigid]:

@@ -189,11 +189,10 @@ PAPER_OBJECTS = ("cube", "small_crescent", "ball", "large_crescent", "cylinder")
 class Press:
     """An indenter that moved along -z and then along the skin.
 
-    x, y is where the object's origin (without a tilt, its lowest point) is after the drag, as in the image. `depth_mm`
-    is z of the undeformed skin there minus z of the lowest point, negative above the skin; it is not the travel from
-    first touch: a wide object off the axis touches earlier, nearer to the apex. The shape is enlarged by `scale` about
-    its lowest point, turned about its z axis from x towards y, and tilted about the sensor's x, then y axis. The drag
-    says how far it moved after it touched, the twist how far it turned about z through (x, y), from x towards y.
+    x, y is where the object's origin is after the drag. `depth_mm` is z of the undeformed skin there minus z of the
+    lowest point, not the travel from first touch. The shape is enlarged by `scale` about its lowest point, turned about
+    its z axis from x towards y, and tilted about the sensor's x, then y axis. Drag and twist (about z through (x, y))
+    say how far it moved after it touched.
     """
 
     shape: Shape

@@ -7,7 +7,6 @@ the sphere, nothing is hidden.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -54,7 +53,6 @@ class Print:
 
 def print_features(model: SensorModel) -> Print:
     """Lay the hexagonal lattice on the sphere (equal-area chart) with the model's print tolerances."""
-    rng = np.random.default_rng((model.print_seed, 1))
     r, p = model.skin_radius_mm, model.pitch_mm
     reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
     limit = 2 * r * math.sin(reach / 2)
@@ -64,32 +62,11 @@ def print_features(model: SensorModel) -> Print:
     third = np.array((0.5, math.sqrt(1 / 12))) * p  # centre of the triangle right above a lattice point
     a = math.radians(model.lattice_rotation_deg)
     turn = np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
-
-    def lay(points: F64) -> F64:
-        points = points @ turn
-        points = points + rng.normal(0.0, model.position_tolerance_mm, points.shape)
-        return np.asarray(points[np.linalg.norm(points, axis=1) < limit])
-
-    def sizes(pitches: float, count: int) -> F64:
-        return pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5)
-
-    pins = lay(corner)
     # The second triangle of each lattice cell is the first one mirrored in the cell's middle.
-    markers = lay(np.concatenate((corner + third, corner - third)))
+    markers = np.concatenate((corner + third, corner - third))
     # Regular polygons of the same area as the discs.
     area = math.sqrt(2 * math.pi / (_MARKER_CORNERS * math.sin(2 * math.pi / _MARKER_CORNERS)))
-    return _printed(model, pins, markers, sizes, area)
-
-
-def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> Print:
-    """Place pins on a lattice with any angle and ratio of sides, and a marker in the middle of each cell."""
-    n = 2 * math.ceil(reach_mm(model) / model.pitch_mm) + 2
-    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
-    a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
-    sides = np.array(((1.0, 0.0), (ratio * math.cos(b), ratio * math.sin(b)))) / math.sqrt(ratio)
-    cell = model.pitch_mm * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
-    corners = np.stack((i.ravel(), j.ravel()), axis=1)
-    return print_at(model, corners @ cell, (corners + 0.5) @ cell)
+    return _printed(model, 1, corner @ turn, markers @ turn, limit, area)
 
 
 def reach_mm(model: SensorModel) -> float:
@@ -99,25 +76,22 @@ def reach_mm(model: SensorModel) -> float:
 
 def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> Print:
     """Print pins and markers at points (N, 2) of the equal-area chart, with the model's tolerances."""
-    rng = np.random.default_rng((model.print_seed, 14))
-    p, limit = model.pitch_mm, reach_mm(model)
+    return _printed(model, 14, pins_mm, markers_mm, reach_mm(model), 1.0)
+
+
+def _printed(model: SensorModel, stream: int, pins: F64, markers: F64, limit_mm: float, marker_part: float) -> Print:
+    """Print at points of the equal-area chart within a limit, with tolerances drawn from a stream."""
+    rng, r = np.random.default_rng((model.print_seed, stream)), model.skin_radius_mm
 
     def lay(points: F64) -> F64:
-        points = points + rng.normal(0, model.position_tolerance_mm, points.shape)
-        return np.asarray(points[np.linalg.norm(points, axis=1) < limit])
+        points = points + rng.normal(0.0, model.position_tolerance_mm, points.shape)
+        return np.asarray(points[np.linalg.norm(points, axis=1) < limit_mm])
 
     def sizes(pitches: float, count: int) -> F64:
-        return np.asarray(pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5))
+        tolerance = np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5)
+        return np.asarray(pitches * model.pitch_mm * tolerance)
 
-    pins, markers = lay(pins_mm), lay(markers_mm)
-    return _printed(model, pins, markers, sizes, 1.0)
-
-
-def _printed(
-    model: SensorModel, pins: F64, markers: F64, sizes: Callable[[float, int], F64], marker_part: float
-) -> Print:
-    """The print with pins and markers at points of the equal-area chart."""
-    r = model.skin_radius_mm
+    pins, markers = lay(pins), lay(markers)
     radius = sizes(model.marker_radius_pitches, len(markers)) * marker_part
     angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
     circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)

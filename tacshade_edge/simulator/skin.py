@@ -158,13 +158,9 @@ Solver = Callable[[F32, F32], F32]
 
 @frozen
 class Load:
-    """The load of one press: ∫ p / kn and ∫ |q| / kt over its contact (the latter also of a twist, whose tractions
-    cancel in `pull_mm3`); the force of the pressure on the object, through O, and of the traction, and the latter's
-    torque about O, in the sensor frame; `surplus`, the part of its drag and twist that the object could reverse without
-    sticking anywhere (0 if it sticks).
-
-    In skin units, p / kn and q / kt in mm. The stiffnesses kn along the radius and kt along the skin are left open:
-    `SensorModel.coulomb` is μ kn / kt, and callers that add both loads state μ.
+    """The load of one press in skin units, p / kn and q / kt in mm: ∫ p / kn and ∫ |q| / kt over its contact; the force
+    of the pressure on the object, through O, and of the traction, and the latter's torque about O, in the sensor frame;
+    `surplus`, the part of its drag and twist that the object could reverse without sticking anywhere.
     """
 
     normal_mm3: float
@@ -207,17 +203,13 @@ def summed(direction: F64, points_mm: F64, pressure_mm: F64, traction_mm: F64, a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """A deformed skin.
+    """A deformed skin; maps are float32 (2n+1, 2n+1), node (i, j) has chart coordinates ((j - n) step, (i - n) step).
 
-    `step_mm`: chart distance between nodes; node (i, j) has chart coordinates ((j - n) step, (i - n) step) with n the
-    middle index. `height_mm` (float32 (2n+1, 2n+1)): h at the nodes, mm. `obstacle_mm` (float32 (2n+1, 2n+1)): the
-    least `pressed_mm` that keeps the skin outside the objects; 0 where the node's ray meets none. `leaning_mm` (float32
-    (2n+1, 2n+1) or None): part of h due to the leaning dome, negative where it moves outwards. `origin_mm` (float32
-    (2n+1, 2n+1, 2) or None): chart coordinates without drag and sway of the material now at a node, minus the node's
-    own. `stuck`: for each press, if one drags: the part of its contact in which the skin moves with it. `slid_mm`
-    (tuple of (float, float)): for each press, if one drags: how far along x and y it has moved ahead of the skin in
-    contact, on average. `loads`: load of each press, if one drags (`drag.loads_of` computes them otherwise). `rest_mm`
-    (float32 (2n+1, 2n+1) or None): part of `pressed_mm` that remains without load, for a skin that creeps.
+    `obstacle_mm`: the least `pressed_mm` outside the objects; 0 where the node's ray meets none. `leaning_mm`: part of
+    h due to the leaning dome. `origin_mm` (.., 2): chart coordinates without drag and sway of the material now at a
+    node, minus the node's own. For each press, if one drags: `stuck`, the part of its contact that moves with it;
+    `slid_mm`, how far along x and y it is ahead of the skin on average; `loads`. `rest_mm`: part of `pressed_mm` that
+    remains without load, for a skin that creeps.
     """
 
     radius_mm: float
@@ -262,10 +254,9 @@ class Skin:
         )
 
     def carried_inwards(self, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-        """New directions (..., 3) and chart coordinates (..., 2) of material points under objects moving along -z.
-
-        Skin that sticks to an object (`friction` 1) moves with it; skin that slides without friction moves along its
-        normal. To first order in h, the first is a displacement by h / cosθ along -z, the second by h along the radius.
+        """New directions (..., 3) and chart coordinates (..., 2) of material points under objects moving along -z, to
+        first order in h: by h / cosθ along -z where the skin sticks (`friction` 1), by h along the radius where it
+        slides.
         """
         direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
         height = self.sample_pressed(chart_mm[..., 0], chart_mm[..., 1])
@@ -290,11 +281,8 @@ def press_skin(
     rest_mm: F32 | None = None,
     solver: Solver = solve,
 ) -> Skin:
-    """Find the skin's shape under the given objects.
-
-    `leaning_mm` (float32 (2n+1, 2n+1), optional): `Skin.leaning_mm` of a leaning dome. `rest_mm` (float32 (2n+1, 2n+1),
-    optional): `Skin.rest_mm` after creep: the shape of the unloaded skin. `solver`: solves the obstacle problem like
-    `membrane.solve`. Raises ValueError (an object would reach the middle of the sensor, or is not over the skin).
+    """Find the skin's shape under objects; `rest_mm` is that of the unloaded skin after creep. Raises ValueError (an
+    object would reach the middle of the sensor, or is not over the skin).
     """
     flat = undeformed(radius_mm)
     free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
@@ -385,10 +373,7 @@ def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | No
 
 @functools.lru_cache(maxsize=2)
 def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...]) -> F32:
-    """The distance from O at which each node's ray enters an object, in mm; infinite if it enters none near the skin.
-
-    A dragged skin is solved several times under the same objects, so the last ones are kept.
-    """
+    """The distance from O at which each node's ray enters an object, infinite if none; the last ones are kept."""
     rays = _directions(radius_mm, n, step_mm)
     rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])

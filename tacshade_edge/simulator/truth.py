@@ -25,10 +25,8 @@ _INVERSE_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True values at the pixels of the image: h of the deformed skin point that the pixel's ray meets first (NaN
-    outside the disc); whether that point lies within 0.02 mm of an object's surface; those points (N, 3); the objects'
-    surfaces inside the undeformed skin (M, 3), as seen from O (touched by the skin or not); the greatest h over the
-    visible disc.
+    """True values at the pixels: h of the skin point that the ray meets (NaN outside the disc); whether it touches; the
+    touching points (N, 3); the objects' surfaces inside the undeformed skin (M, 3); the greatest h over the disc.
     """
 
     height_mm: F32

@@ -45,10 +45,8 @@ class ThisProcess:
 
 @contextlib.contextmanager
 def workers() -> Iterator[Workers]:
-    """Start a process for each usable core; with one core, jobs run in this process.
-
-    Jobs are module-level functions, so that another process finds them; ``map`` yields results in the order of the
-    tasks. Raises DeviceError (a process was killed).
+    """Start a process for each usable core; with one core, jobs run in this process. Jobs are module-level functions.
+    Raises DeviceError (a process was killed).
     """
     if usable_cores() == 1:
         yield ThisProcess()

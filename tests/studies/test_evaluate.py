@@ -176,32 +176,17 @@ def test_what_is_the_same_in_other_axes_agrees_wholly() -> None:
     for made in agreements(rows, known):
         assert made.rank_correlation == pytest.approx(1.0)
         assert made.error < 1e-9
-    assert [made.quantity for made in agreements(rows, known)] == [
-        "depth",
-        "depth by volume",
-        "tilt",
-        "shear",
-        "shear, by tilt and depth too",
-    ]
-    assert [made.frames for made in agreements(rows, known)] == [60, 60, 30, 30, 30]
+    assert [made.quantity for made in agreements(rows, known)] == ["depth", "tilt", "shear"]
+    assert [made.frames for made in agreements(rows, known)] == [60, 30, 30]
 
 
 def test_refused_frames_and_unknown_labels_are_left_out() -> None:
     rows, known = some()
     rows[0] = row(0, 99.0, (9.0, 9.0), (9.0, 9.0), refused="torn")
     known[2] = {}
-    assert [made.frames for made in agreements(rows, known)][:2] == [58, 58]
+    assert agreements(rows, known)[0].frames == 58
     assert all(made.rank_correlation == pytest.approx(1.0) for made in agreements(rows, known))
     assert agreements(rows, [{}] * len(rows)) == []
-
-
-def test_a_flange_that_tilts_drags_the_skin_elsewhere() -> None:
-    rows, known = some(200)
-    tilted = [replace(each, shear_x_mm=each.shear_x_mm + 0.3 * each.tilt_y_deg) for each in rows]
-    shear, by_tilt = agreements(tilted, known)[3:]
-    assert shear.rank_correlation < 0.9
-    assert by_tilt.rank_correlation == pytest.approx(1.0)
-    assert by_tilt.error < 1e-9
 
 
 @dataclass(frozen=True)

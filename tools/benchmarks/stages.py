@@ -25,7 +25,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor, stages_ms
+from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 
@@ -33,6 +33,21 @@ BOX_PX = 39
 _clock_ns = itertools.count(0, 16_666_667)
 PRESS = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
 """A press that covers a fifth of the default sensor's disc."""
+
+
+def stages_ms(made: Reconstructor, frame: Frame) -> dict[str, float]:
+    """Run one step; return the milliseconds of each stage that ran, in order. Their sum is the step's time."""
+    taken: dict[str, float] = {}
+    last = time.perf_counter_ns()
+
+    def mark(stage: str) -> None:
+        nonlocal last
+        now = time.perf_counter_ns()
+        taken[stage] = (now - last) / 1e6
+        last = now
+
+    made.step(frame, mark)
+    return taken
 
 
 def next_frame(image: U8) -> Frame:

@@ -28,10 +28,10 @@ from tacshade_edge.fitting.twin import on_dome
 from tacshade_edge.simulator.drag import TURNING
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import CAP, PinProfile, Renderer, lattice_print, print_features
+from tacshade_edge.simulator.render import CAP, PinProfile, Renderer, print_features
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
-from tools.testbed.simulator.families import other_model
+from tools.testbed.simulator.families import lattice_print, other_model
 from tools.training.outside import (
     VIEWS,
     Camera,

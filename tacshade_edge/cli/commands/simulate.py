@@ -9,7 +9,6 @@ import io
 import itertools
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +47,6 @@ _PAD_SEED = 500_000
 _TRUTH_STEP_MM = 0.25
 # Standard deviations of the noise in POSES_NOISY.csv: along each axis, and about a random one through the skin's apex.
 _NOISE_MM, _NOISE_DEG = 0.3, 1.0
-# Limits of `--pad-varied`: how much deeper or shallower, and how far tilted, a press may be.
-_VARIED_MM, _VARIED_DEG = 0.4, 6.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +75,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--pad-step", "MM", text, FINITE, default=4.0)
     text = "depth below the tops of the pad's bulges in mm (default: 2.7)"
     add_option(parser, "--pad-depth", "MM", text, FINITE, default=2.7)
-    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt from press to press")
     add_option(parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0)
     add_option(parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT)
 
@@ -94,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             _write_scenes(sensor, args)
         if args.pad is not None:
-            write_pad(model, args.pad, args.pad_step, args.pad_depth, args.pad_varied, args.seed)
+            write_pad(model, args.pad, args.pad_step, args.pad_depth, args.seed)
     return 0
 
 
@@ -208,14 +204,7 @@ def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object
         writer.writerows(rows)
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
-    model: SensorModel
-    pose: tuple[float, ...]
-    noise_seed: int
-
-
-def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, varied: bool, seed: int) -> None:
+def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, seed: int) -> None:
     """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
     if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
@@ -224,14 +213,12 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
             f"expected a step of 0.5 to 20 mm and a depth above 0 and up to {pads.MAX_DEPTH_MM:g} mm"
         )
     poses = pads.scan(pad, step_mm, depth_mm, radius_mm)
-    if varied:
-        poses = pads.varied(poses, radius_mm, _VARIED_MM, _VARIED_DEG, seed)
     folder.mkdir(parents=True, exist_ok=True)
     _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide
     _write_references(_sensor(model), folder, seed)
     names = [f"press_{k:04d}.png" for k in range(len(poses))]
     noise_seed = seed * _SEED_STRIDE + _PAD_SEED
-    tasks = [_Task(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
+    tasks = [(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
     with workers() as pool:
         for name, data in zip(names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True):
             (folder / name).write_bytes(data)
@@ -253,6 +240,8 @@ def _sensor(model: SensorModel) -> SimulatedSensor:
     return SimulatedSensor(model)
 
 
-def _image(task: _Task) -> bytes:
-    shape = pads.touchpad().under(from_seven(task.pose), task.model.skin_radius_mm)
-    return png(_sensor(task.model).frame((Press(shape, 0.0, 0.0, 0.0),), task.noise_seed).image)
+def _image(task: tuple[SensorModel, tuple[float, ...], int]) -> bytes:
+    """Return the image of a press as the bytes of a PNG file."""
+    model, pose, noise_seed = task
+    shape = pads.touchpad().under(from_seven(pose), model.skin_radius_mm)
+    return png(_sensor(model).frame((Press(shape, 0.0, 0.0, 0.0),), noise_seed).image)

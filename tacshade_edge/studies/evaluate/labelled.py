@@ -70,20 +70,12 @@ def found_row(image: str, result: Reconstruction) -> FoundRow:
 def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -> list[Agreement]:
     """Compare found values with known ones, row by row."""
     used = [(row, labels) for row, labels in zip(rows, known, strict=True) if not row.refused]
-    found = {name: np.array([getattr(row, name) for row, _ in used]) for name in (*COLUMNS, "volume_mm3")}
+    found = {name: np.array([getattr(row, name) for row, _ in used]) for name in COLUMNS}
     true = {name: np.array([labels.get(name, math.nan) for _, labels in used]) for name in COLUMNS}
     made = [_followed("depth", found["depth_mm"], true["depth_mm"])]
-    made.append(_followed("depth by volume", found["volume_mm3"], true["depth_mm"]))
     for quantity, names in PAIRS.items():
         pair = [np.stack([each[name] for name in names], axis=1) for each in (found, true)]
         made.append(_mapped(quantity, pair[0], pair[1]))
-    # A robot drags its flange: the skin under a plate that tilts with it moves differently, and less the shallower the
-    # contact is.
-    shear, tilt = (np.stack([found[name] for name in PAIRS[pair_name]], axis=1) for pair_name in ("shear", "tilt"))
-    depth = found["depth_mm"][:, None]
-    moved = np.concatenate((shear, tilt, depth * shear, depth * tilt), axis=1)
-    true_shear = np.stack([true[name] for name in PAIRS["shear"]], axis=1)
-    made.append(_mapped("shear, by tilt and depth too", moved, true_shear))
     return [each for each in made if each is not None]
 
 

@@ -193,12 +193,11 @@ _DEPTH_MIN_MM, _DEPTH_PART_MAX = 0.02, 0.8  # less is no contact; a part of the 
 
 
 def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
-    """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the object's name.
+    """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the object's name:
+    ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all (docs/reference/calibration-checks.md).
 
-    These are ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three. By default, ``row0``,
-    ``col0``, ``step_px`` are 0, 0, 1, ``depth_max_mm`` is the greatest height, and the name is the file's. The geometry
-    converts heights to points if none are given. Raises DecodeError if the file is missing, damaged, or has other keys
-    or another size than the image (height, width).
+    Raises DecodeError if the file is missing, damaged, or has other keys or another size than the image (height,
+    width).
     """
     content = _content(path)
     try:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Protocol
 
@@ -128,21 +128,13 @@ def calibrate_sensors(
     sensors: Sequence[SensorName], references: int, presses: int, workers: Workers, report: Report
 ) -> list[CalibrationResult]:
     """Calibrate every sensor. Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed)."""
-    tasks = [(name, references, presses) for name in sensors]
-    return list(reported_map(_calibrated, tasks, workers, report, "sensors calibrated"))
-
-
-def _calibrated(task: tuple[SensorName, int, int]) -> CalibrationResult:
-    return calibrated(*task)
+    job = partial(calibrated, references=references, presses=presses)
+    return list(reported_map(job, sensors, workers, report, "sensors calibrated"))
 
 
 def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:
     """Make the reconstructor of a profile by name."""
     return make_reconstructor(calibration, PROFILES[profile])
-
-
-work_ns = time.thread_time_ns
-"""Processor time of this thread in ns: on an otherwise idle machine, the elapsed time."""
 
 
 @contextmanager
@@ -154,26 +146,6 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(threads)
-
-
-def stages_ms(
-    made: Reconstructor, frame: Frame, clock_ns: Callable[[], int] = time.perf_counter_ns
-) -> dict[str, float]:
-    """Run one step; return the milliseconds of each stage that ran, in order. Their sum is the step's time.
-
-    The clock `work_ns` counts only this thread's processor time, however busy the machine is.
-    """
-    taken: dict[str, float] = {}
-    last = clock_ns()
-
-    def mark(stage: str) -> None:
-        nonlocal last
-        now = clock_ns()
-        taken[stage] = (now - last) / 1e6
-        last = now
-
-    made.step(frame, mark)
-    return taken
 
 
 DEPTHS_MM = (1.5, 3.0, 4.5)
@@ -215,22 +187,6 @@ def scenes(
     ]
 
 
-def null_images(sensor: PressedSensor, count: int = NULL_FRAMES) -> list[tuple[str, U8]]:
-    """Frames without contact, as from a sensor in use, each with the name of the change made to it.
-
-    In turn, they are unchanged, in other light, and shifted by a pixel.
-    """
-    changes: dict[str, Callable[[U8], U8]] = {
-        "": lambda image: image,
-        "light x0.8": lambda image: camera_faults.gain(image, 0.8),
-        "light x1.2": lambda image: camera_faults.gain(image, 1.2),
-        "a row down": lambda image: camera_faults.shift(image, 1, 0),
-        "a column right": lambda image: camera_faults.shift(image, 0, 1),
-    }
-    kinds = [list(changes)[k % len(changes)] for k in range(count)]
-    return [(what, changes[what](sensor.frame((), NULL_NOISE + k).image)) for k, what in enumerate(kinds)]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
     """An image (uint8, H x W or H x W x 3) with its label and ground truth."""
@@ -254,10 +210,17 @@ def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]
 
 
 def null_cases(name: SensorName | str, sensor: PressedSensor, count: int) -> Iterator[Case]:
-    """Yield pictures of the untouched skin (`null_images`)."""
-    nothing = KnownTruth(NOTHING, 0.0, None)
-    for what, image in null_images(sensor, count):
-        yield Case(Label(str(name), "none", what), nothing, image)
+    """Yield pictures of the untouched skin as from a sensor in use: in turn unchanged, in other light, and shifted."""
+    changes: dict[str, Callable[[U8], U8]] = {
+        "": lambda image: image,
+        "light x0.8": lambda image: camera_faults.gain(image, 0.8),
+        "light x1.2": lambda image: camera_faults.gain(image, 1.2),
+        "a row down": lambda image: camera_faults.shift(image, 1, 0),
+        "a column right": lambda image: camera_faults.shift(image, 0, 1),
+    }
+    for k, what in zip(range(count), cycle(changes)):
+        image = changes[what](sensor.frame((), NULL_NOISE + k).image)
+        yield Case(Label(str(name), "none", what), KnownTruth(NOTHING, 0.0, None), image)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,6 @@ from tacshade_edge.studies.evaluate.work import (
     null_cases,
     one_thread,
     scenes,
-    work_ns,
 )
 from tacshade_edge.studies.parallel import Report, Workers, processes, reported_map
 from tacshade_edge.types import F64, U8, Bool, Calibration, Frame, Need, Reconstruction
@@ -276,11 +275,11 @@ class Timed:
         """Time the stages of a frame's step, then the encoding of each output."""
         self._t_ns += FRAME_NS  # as in a stream, so that work not done on every frame costs as much
         taken: dict[str, float] = {}
-        last = work_ns()
+        last = time.thread_time_ns()
 
         def mark(part: str) -> None:
             nonlocal last
-            now = work_ns()
+            now = time.thread_time_ns()
             taken[part] = (now - last) / 1e6
             last = now
 

@@ -18,6 +18,8 @@ from tacshade_edge.studies.tradeoff.measure import OUTPUTS, Estimate, Row, relat
 
 HAND = 4
 """Number of fingers for which the table shows a rate."""
+HALF_WORSE = 1.05
+"""Images of half the size must be this much more accurate to be chosen, because they need another calibration."""
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
 
 
@@ -114,8 +116,8 @@ def choose(rows: Sequence[Row], wish: Wish) -> tuple[bool, str]:
     usual = [r for r in rows if math.isfinite(r.times.p99_ms) and r.setting.fitted == (r.setting.profile in fitted)]
     if not usual:
         return False, "nothing holds: no setting found a contact"
-    errors = dict(zip(map(id, usual), np.nan_to_num(relative_errors(usual), nan=np.inf), strict=True))
-    ranked = sorted(usual, key=lambda row: (errors[id(row)], row.times.p50_ms))
+    errors = np.nan_to_num(relative_errors(usual), nan=np.inf) * [HALF_WORSE if r.setting.half else 1 for r in usual]
+    ranked = [usual[k] for k in sorted(range(len(usual)), key=lambda k: (errors[k], usual[k].times.p50_ms))]
     what = f"{', '.join(usual[0].outputs)} for {wish}"
     found = next((row for row in ranked if wish.held_by(row)), None)
     if found is None:
@@ -146,7 +148,8 @@ def draw(rows: Sequence[Row], budget_ms: float | None) -> bytes:
     panels = [(r.outputs, name) for r in single for name in r.outputs if math.isfinite(r.errors[name].value)]
     panels = list(dict.fromkeys(panels))
     columns = min(3, max(1, len(panels)))
-    figure, axes = tables.new_figure(-(-max(1, len(panels)) // columns), columns, 4.6 * columns, 4.4)
+    lines = -(-max(1, len(panels)) // columns)
+    figure, axes = tables.new_figure(lines, columns, 4.6 * columns, 3.4 * lines + 0.8)
     profiles = list(dict.fromkeys(row.setting.profile for row in rows))
     for one, (outputs, name) in zip(axes.flat, panels, strict=False):
         mine = [

@@ -27,7 +27,7 @@ START = shift(6, 6, -5) @ TRUE
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, small_pad: None) -> Path:
     folder = tmp_path_factory.mktemp("pad")
-    simulate.write_pad(HALF, folder, 5.0, 2.5, False, 0)
+    simulate.write_pad(HALF, folder, 5.0, 2.5, 0)
     calibration_file.save(folder / "cal.npz", calibrated())
     return folder
 

@@ -19,12 +19,13 @@ from tacshade_edge.core.calibration import indenters
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press, distance_mm
-from tacshade_edge.simulator.render import PinProfile, Renderer, lattice_print
+from tacshade_edge.simulator.render import PinProfile, Renderer
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
 from tacshade_edge.studies.evaluate.work import PRESS_NOISE
 from tacshade_edge.types import F64
 from tools.studies.command import stated_press
+from tools.testbed.simulator.families import lattice_print
 
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "working": {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,11 +17,22 @@ from tacshade_edge.cli.shared import study
 from tacshade_edge.simulator.drag import TURNING, drag_skin, two_scale_skin
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import CAP, FRUSTUM, Renderer, lattice_print
+from tacshade_edge.simulator.render import CAP, FRUSTUM, Print, Renderer, print_at, reach_mm
 from tacshade_edge.simulator.skin import Skin, left_over, press_skin
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
 from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName
 from tacshade_edge.types import F32, U8
+
+
+def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> Print:
+    """Place pins on a lattice with any angle and ratio of sides, and a marker in the middle of each cell."""
+    n = 2 * math.ceil(reach_mm(model) / model.pitch_mm) + 2
+    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
+    a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
+    sides = np.array(((1.0, 0.0), (ratio * math.cos(b), ratio * math.sin(b)))) / math.sqrt(ratio)
+    cell = model.pitch_mm * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+    corners = np.stack((i.ravel(), j.ravel()), axis=1)
+    return print_at(model, corners @ cell, (corners + 0.5) @ cell)
 
 
 class OtherSensor:
