@@ -25,7 +25,6 @@ from tacshade_edge.simulator.hand import (
     lathed,
     moved_along,
     press_of,
-    slid_on,
     sphere,
 )
 from tacshade_edge.simulator.press import Shape
@@ -123,18 +122,6 @@ def test_a_motion_along_the_skin_comes_through_exactly(
     points = np.random.default_rng(1).uniform(-8, 8, (40, 2))
     before = motion.inverse().apply(np.column_stack((points, np.full(40, 18.0))))[:, :2]
     assert np.abs(press.before_drag(points) - before).max() < 1e-9
-
-
-def test_what_slid_counts_no_more() -> None:
-    touched = shift(0.0, 0.0, 45.0)
-    at_mm = np.array((0.0, 0.0, 19.0))
-    grip = Grip(touched)
-    drag = moved_along(grip, shift(4.0, 0.0, 0.0) @ touched, at_mm)
-    assert drag == pytest.approx((4.0, 0.0, 0.0))
-    slid = slid_on(grip, drag, 0.5)
-    assert moved_along(slid, shift(4.0, 0.0, 0.0) @ touched, at_mm) == pytest.approx((2.0, 0.0, 0.0))
-    assert moved_along(slid, shift(1.0, 0.0, 0.0) @ touched, at_mm) == pytest.approx((-1.0, 0.0, 0.0))
-    assert slid_on(grip, drag, 0.0) is grip
 
 
 def test_object_and_fingers_go_straight_from_knot_to_knot() -> None:

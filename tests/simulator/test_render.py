@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.model import SensorModel, tactip
+from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, ball, distance_mm
 from tacshade_edge.simulator.render import Renderer, project
 from tacshade_edge.simulator.skin import press_skin, undeformed
@@ -42,14 +42,6 @@ def test_contact_brightens_and_its_concave_rim_darkens(name: str, depth_mm: floa
     assert change[away < 2].mean() > 12
     rim = (away > 3) & (away < 9)
     assert change[rim].min() < -12
-
-
-def test_a_tactip_darkens_instead() -> None:
-    model = tactip(MODEL)
-    reference, away = white_ratio(model), rings(model)
-    for name in ("ball", "cube"):
-        change = white_ratio(model, Press(OBJECTS[name](), 0.0, 0.0, 3.0)) - reference
-        assert change[away < 2].mean() < -6
 
 
 def test_projection_meets_the_formula_of_the_pinhole() -> None:
@@ -91,16 +83,6 @@ def test_same_seed_same_frame_other_seed_other_noise(small_sensor: SimulatedSens
     one, same = small_sensor.frame(press, 4), SimulatedSensor(small_sensor.model).frame(press, 4)
     assert np.array_equal(one.image, same.image)
     assert not np.array_equal(one.image, small_sensor.frame(press, 5).image)
-
-
-def test_noise_has_the_models_variance() -> None:
-    model = replace(MODEL, read_noise_grey=2.0, shot_noise_grey=4.0, colour_bgr=(1.0, 1.0, 1.0))
-    renderer = Renderer(model)
-    for level in (60.0, 200.0):
-        image = renderer.expose(np.full((480, 640), level, np.float32), 1)[..., 1].astype(float)
-        assert image.mean() == pytest.approx(level, abs=0.05)
-        # 1/12: the rounding to whole grey levels.
-        assert image.var() == pytest.approx(4.0 + 16.0 * level / 255 + 1 / 12, rel=0.02)
 
 
 @pytest.mark.parametrize("camera_distance_mm", [14.0, 6.0, None])

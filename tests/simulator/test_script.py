@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from support.examples import examples
 
 from tacshade_edge.rigid import turn
-from tacshade_edge.simulator.drag import SLIDES, loads_of
+from tacshade_edge.simulator.drag import loads_of
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.simulator.script import Drag, Script, ball_presses, demonstration
+from tacshade_edge.simulator.script import Drag, Script, ball_presses
 from tacshade_edge.simulator.skin import summed
-from tacshade_edge.simulator.truth import SimulatedSensor, skin_under
+from tacshade_edge.simulator.truth import skin_under
 
 
 def test_a_turn_is_pause_approach_hold_release() -> None:
@@ -40,18 +40,6 @@ def test_a_held_object_is_dragged_in_few_steps_and_lifted_in_few() -> None:
     assert [p.depth_mm for p in lifted] == pytest.approx([3, 3, 2, 2, 1, 1])
     assert {p.drag_x_mm for p in lifted} == {3.0}
     assert script.at(23 + 16) == script.at(16)  # the second press, dragged as the first
-
-
-@pytest.mark.slow
-def test_the_demonstration_drags_twists_and_slips() -> None:
-    script, sensor = demonstration(), SimulatedSensor()
-    turn = script.period // len(script.presses)
-    last = [script.at(k * turn + 49)[0] for k in range(5)]
-    stuck = [sensor.frame((press,)).skin.stuck for press in last]
-    assert [bool(s) for s in stuck] == [False, True, False, True, True]
-    assert stuck[1][0] > 0.1
-    assert stuck[3][0] < SLIDES
-    assert last[4].twist_deg == 10.0
 
 
 def test_presses_cover_radii_depths_and_the_disc() -> None:

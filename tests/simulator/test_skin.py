@@ -55,15 +55,6 @@ def test_skirt_decays_over_the_given_length(decay_mm: float) -> None:
     assert near / far == pytest.approx(math.e, rel=0.08)
 
 
-def test_halving_the_grid_step_does_not_move_the_skirt(monkeypatch: pytest.MonkeyPatch) -> None:
-    presses = [Press(ball(5.0), 3.0, 0.0, 3.0)]
-    x = np.linspace(-14, 14, 57)
-    coarse = press_skin(R_MM, DECAY_MM, presses).sample(x, 0 * x)
-    monkeypatch.setattr("tacshade_edge.simulator.skin.GRID_STEPS_PER_RADIUS", 160)
-    fine = press_skin(R_MM, DECAY_MM, presses).sample(x, 0 * x)
-    assert np.abs(coarse - fine).max() < 0.02
-
-
 def test_no_press_and_a_press_that_does_not_reach_leave_the_skin_alone() -> None:
     assert not press_skin(R_MM, DECAY_MM, []).height_mm.any()
     assert not press_skin(R_MM, DECAY_MM, [Press(ball(5.0), 2.0, 0.0, -1.0)]).height_mm.any()

@@ -19,7 +19,7 @@ from tacshade_edge.rigid import from_seven, of_pose, shift
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.pad import Arc, Bar, Pad
 from tacshade_edge.studies.stitch import presses as contact_frames
-from tacshade_edge.studies.stitch.presses import PRESSES_MAX, Press, frames_of_presses, read_contact_frames
+from tacshade_edge.studies.stitch.presses import Press, frames_of_presses, read_contact_frames
 from tacshade_edge.studies.stitch.truth import radius_average, read_known, score
 from tacshade_edge.types import Pose
 
@@ -111,12 +111,6 @@ def test_presses_of_images_stand_still_at_the_flange() -> None:
     assert of_pose(found[2].track[0]).translation_mm == pytest.approx((2, 0, 0))
 
 
-def test_more_presses_than_it_takes_are_thinned_out() -> None:
-    presses = [Press("a", "", shift(k, 0, 0), POINTS, None) for k in range(PRESSES_MAX + 1)]
-    found = frames_of_presses(presses, shift(0, 0, 0))
-    assert [one.track[0].x_mm for one in found] == list(range(0, PRESSES_MAX + 1, 2))
-
-
 BAR, RING = Bar(5.1, 3.1, 5.1, 23.1, 3.0), Arc(20.1, 13.1, 7.0, 3.0)
 
 
@@ -141,14 +135,6 @@ def test_errors_are_measured_where_something_was_touched() -> None:
     assert s.covered_mm2 == pytest.approx(np.count_nonzero(np.isfinite(z)) / 16)
     assert 0.5 < s.raised_coverage < 0.9
     assert s.raised_mean_mm == pytest.approx(0.1, abs=1e-5)
-
-
-def test_a_map_of_another_step_and_place() -> None:
-    part = raster(BAR, RING, step_mm=0.5)
-    s = score(Raster(part.z_mm[10:30, 4:], 2.0, 5.0, 0.5), KNOWN)
-    assert s.rms_mm == 0
-    beyond = Raster(np.zeros((10, 200), np.float32), 0.0, 0.0, 0.25)
-    assert score(beyond, KNOWN).outside_cells == 10 * (200 - 129)
 
 
 def test_another_frame_is_told() -> None:

@@ -97,12 +97,3 @@ def test_a_surface_lies_below_the_skin_and_is_tilted() -> None:
     assert there_and_back(ros_messages.surface(Ros(), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0), 20.0, "a"))
     for unknown in (touch(depth_mm=2.0), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0, twist_deg=None), touch()):
         assert ros_messages.surface(Ros(), unknown, 20.0, "left-index") is None
-
-
-def test_a_transform() -> None:
-    values = (100.0, -20.0, 300.0, 0.5, -0.5, 0.5, -0.5)
-    (moved,) = there_and_back(ros_messages.transform(Ros(), values, 5, "a", "b")).transforms
-    assert (moved.header.frame_id, moved.child_frame_id) == ("a", "b")
-    place, turn = moved.transform.translation, moved.transform.rotation
-    assert (place.x, place.y, place.z) == pytest.approx((0.1, -0.02, 0.3))
-    assert (turn.w, turn.x, turn.y, turn.z) == (0.5, -0.5, 0.5, -0.5)
