@@ -64,12 +64,8 @@ class TacShadeCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Connect to the broker and, with `warmup`, wait for the first picture.
 
-        Raises
-        ------
-        DeviceAlreadyConnectedError
-        ConnectionError
-            The settings can never work, the broker is unreachable or rejects the connection, or no picture arrives
-            within 5 s.
+        Raises DeviceAlreadyConnectedError, and ConnectionError if the settings can never work, the broker is
+        unreachable or rejects the connection, or no picture arrives within 5 s.
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
@@ -105,16 +101,7 @@ class TacShadeCamera(Camera):
     def async_read(self, timeout_ms: float = 200) -> U8:
         """Wait for a picture that has not been read yet; for an untouched sensor return the newest at once.
 
-        Returns
-        -------
-        uint8 (height, width, 3)
-            RGB, read-only.
-
-        Raises
-        ------
-        TimeoutError
-            No picture arrived in time.
-        DeviceNotConnectedError
+        RGB, uint8 (height, width, 3), read-only. Raises TimeoutError, DeviceNotConnectedError.
         """
         self._check()
         with self._came:
@@ -128,13 +115,7 @@ class TacShadeCamera(Camera):
     def read_latest(self, max_age_ms: int = 500) -> U8:
         """The newest picture, read or not.
 
-        Raises
-        ------
-        TimeoutError
-            The picture is older than `max_age_ms`.
-        RuntimeError
-            No picture has arrived yet.
-        DeviceNotConnectedError
+        Raises TimeoutError if it is older than `max_age_ms`, RuntimeError before the first, DeviceNotConnectedError.
         """
         self._check()
         with self._came:

@@ -16,19 +16,10 @@ _HEIGHT_ZERO, _SHEAR_ZERO = 1, 128
 
 
 def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
-    """The RGB picture of a height map and its shear.
+    """The RGB picture, uint8 (rows, cols, 3), of a height map (rows, cols) and its shear (rows, cols, 2) in mm.
 
-    Parameters
-    ----------
-    height_mm : float32 (rows, cols)
-        NaN outside the visible circle; clipped to 0 to 6.35 mm.
-    shear_mm : float32 (rows, cols, 2) or None
-        Along x and y, clipped to ±3.175 mm; None means no shear.
-
-    Returns
-    -------
-    uint8 (rows, cols, 3)
-        Red 1 + h / `STEP_MM`, green and blue 128 + shear / `STEP_MM`, rounded, at least 1; 0 outside the circle.
+    Red is 1 + h / `STEP_MM`, green and blue 128 + shear / `STEP_MM` along x and y, rounded and clipped to 1 to 255 (h
+    to 6.35 mm, shear to ±3.175 mm, 0 without one); all are 0 outside the visible circle, where the height is NaN.
     """
     picture = np.full((*height_mm.shape, 3), float(_SHEAR_ZERO), np.float32)
     picture[..., 0] = _HEIGHT_ZERO + height_mm / STEP_MM
@@ -40,17 +31,9 @@ def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
 
 
 def to_mm(picture: U8) -> tuple[F32, F32]:
-    """The height and shear in a picture of `to_rgb`, within its ranges accurate to half of `STEP_MM`.
+    """The height and the shear in mm in a picture of `to_rgb`, shaped as there; NaN outside the circle.
 
-    Parameters
-    ----------
-    picture : uint8 (rows, cols, 3)
-
-    Returns
-    -------
-    height_mm : float32 (rows, cols)
-    shear_mm : float32 (rows, cols, 2)
-        Both NaN outside the circle.
+    Within the ranges of `to_rgb` they are accurate to half of `STEP_MM`.
     """
     outside = (picture == 0).any(axis=-1)
     zero = np.array((_HEIGHT_ZERO, _SHEAR_ZERO, _SHEAR_ZERO), np.float32)

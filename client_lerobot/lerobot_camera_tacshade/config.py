@@ -12,22 +12,11 @@ SIZE_PX = 112
 @CameraConfig.register_subclass("tacshade")
 @dataclass(kw_only=True)
 class TacShadeCameraConfig(CameraConfig):
-    """A sensor on a broker.
+    """A sensor (its ``sensor_id``) on a broker, ``HOST`` or ``HOST:PORT``.
 
-    Attributes
-    ----------
-    sensor : str
-        The ``sensor_id``.
-    broker : str
-        ``HOST`` or ``HOST:PORT``.
-    username, password_file : str or None
-        For a broker that requires a login; the password is the file's first line.
-    ca_file : str or None
-        Certificate of the authority that signed the broker's certificate; turns TLS on.
-    width, height : int
-        Size of the picture in px; equal, because the visible circle fills it.
-    fps : int
-        Required and copied by LeRobot; the daemon determines the actual rate of pictures.
+    `username`, `password_file` (its first line): for a broker that requires a login; `ca_file`: certificate of the
+    authority that signed the broker's certificate, turns TLS on; `width`, `height`: of the picture in px, equal,
+    because the visible circle fills it; `fps`: LeRobot copies it, but the daemon determines the actual rate.
     """
 
     sensor: str

@@ -20,15 +20,7 @@ REACH: Final = 1.02
 class Pictures:
     """Combines the messages of each frame: ``contact`` comes last, and is the only one in a frame without contact.
 
-    Parameters
-    ----------
-    size_px : int
-        Side of the square picture.
-
-    Attributes
-    ----------
-    passed_over : int
-        Number of frames with a missing or mismatched message, or that the sensor could not use.
+    `passed_over` counts frames with a missing or mismatched message, or that the sensor could not use.
     """
 
     def __init__(self, size_px: int) -> None:

@@ -18,8 +18,8 @@ from tacshade_edge.core.calibration.reference.references import block_means
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
-from tacshade_edge.storage.tables.capture_folder import CaptureFolder, Stated, next_number, stated
-from tacshade_edge.storage.tables.presses import BALL
+from tacshade_edge.storage.tables.capture_folder import CaptureFolder, next_number
+from tacshade_edge.storage.tables.presses import BALL, Stated, stated
 from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES

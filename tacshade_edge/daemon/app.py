@@ -179,7 +179,6 @@ class App:
         with crashes_to(self._events.put):
             self._changed()
             self._publish_state()
-            self._record.fix(Path(self._document.settings.recorder.folder))
             self.link.start()
             self._pipeline.start()
             for observer in self._observers:

@@ -328,7 +328,7 @@ class LiveRecorder:
         if (now := self.now()) is not None:
             doing = "still writing the latest recording to" if now.ending else "already recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
-        recorder = make(folder, free_floor_bytes=FREE_FLOOR_BYTES)
+        recorder = make(folder)
         job = self._job or _Job(0, self._posed)
         begin = partial(recorder.begin, settings_yaml, calibration)
         job.start(recorder, begin, seconds, calibration.crc32, about)

@@ -19,8 +19,7 @@ from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder, fix_recordings
-from tacshade_edge.storage.recording.recorder import Recorder
+from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.types import Frame
 from tacshade_edge.version import installed_version
@@ -44,19 +43,6 @@ class RecordRequests(FrameObserver):
         self._published, self._published_s = b"", 0.0
         self._published_folder: Path | None = None
         self._began_s = self._length_s = 0.0
-
-    @staticmethod
-    def fix(folder: Path) -> None:
-        """Fix the MCAP recordings that a daemon left when it died; called before the first recording begins."""
-        try:
-            for path in fix_recordings(folder):
-                _log.warning(
-                    "%s: repaired a recording that a daemon left unfinished when it died; "
-                    "the file now ends after its last whole record",
-                    path,
-                )
-        except DeviceError as error:
-            _log.warning("%s", error)
 
     def handle(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> None:
         try:

@@ -233,7 +233,7 @@ class Playback:
     def _before(self, frames: int) -> RecordedFrame | None:
         """The frame that is this many before the latest one shown, or the first."""
         self._recording = self._reopen()
-        self._recording.skip_to_before(self._last_ns, frames)
+        self._recording.skip_to(self._last_ns, frames=frames)
         return self._recording.read()
 
     def _end(self) -> None:

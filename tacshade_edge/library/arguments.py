@@ -17,13 +17,7 @@ _TEXT_BYTES_MAX: Final = 65535
 
 
 def path_of(name: str, value: object) -> Path:
-    """Return an argument as a path that a file can have.
-
-    Raises
-    ------
-    ConfigError
-        The argument has another type, or no file can have that path.
-    """
+    """Return an argument as a path that a file can have. Raises ConfigError."""
     if isinstance(value, str | os.PathLike):
         encoded = b""
         with contextlib.suppress(UnicodeEncodeError):

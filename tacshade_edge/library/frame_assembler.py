@@ -23,7 +23,7 @@ from tacshade_edge.protocol.topics import (
     decode_state,
     decode_touch,
 )
-from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
+from tacshade_edge.protocol.wire import HeightMessage, ShearMessage, SigmaMessage
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, Touch, TouchedObject
@@ -112,10 +112,7 @@ class FrameAssembler:
             return None
         contact, geometry = whole.contact, known.geometry
         found = {name: OF_SENSORS[name].decode(name, data) for name, data in whole.streams.items()}
-        height: HeightMessage | None = found.get("height")
-        cloud: CloudMessage | None = found.get("cloud")
-        shear: ShearMessage | None = found.get("shear")
-        sigma: SigmaMessage | None = found.get("sigma")
+        height, cloud, shear, sigma = (found.get(name) for name in _STREAMS)
         if height is not None and height.calibration_crc32 != known.calibration_crc32:
             return None
         for other in (shear, sigma):
@@ -170,13 +167,8 @@ def _touched(
 
 
 def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
-    match message:
-        case HeightMessage():
-            rows, cols = message.height_mm.shape
-        case ShearMessage():
-            rows, cols, _ = message.shear_mm.shape
-        case SigmaMessage():
-            rows, cols = message.sigma_mm.shape
+    values = next(getattr(message, name) for name in ("height_mm", "shear_mm", "sigma_mm") if hasattr(message, name))
+    rows, cols = values.shape[:2]
     return Grid(rows, cols, message.row0, message.col0, message.step_px)
 
 

@@ -120,16 +120,14 @@ class _Live(Results):
         self._source, self._sensor, self._tracker = source, sensor, ContactTracker()
         self._stale_ns = _STALE_PERIODS * 1e9 / fps
         self._skipped = 0
-        self._ended = self._opened = False
+        self._opened = False
         self._open()
 
     @property
     def passed_over(self) -> int:
         return self._source.dropped + self._skipped
 
-    def __next__(self) -> Result:
-        if self._ended:
-            raise StopIteration
+    def _next(self) -> Result | None:
         try:
             if not self._opened:
                 self._open()
@@ -138,13 +136,9 @@ class _Live(Results):
             self._source.close()
             self._opened = False
             raise
-        if frame is None:
-            self.close()
-            raise StopIteration
-        return self._sensor.step(frame, self._tracker)
+        return None if frame is None else self._sensor.step(frame, self._tracker)
 
-    def close(self) -> None:
-        self._ended = True
+    def _release(self) -> None:
         self._source.close()
 
     def _open(self) -> None:
@@ -168,30 +162,25 @@ class _Live(Results):
 
 class _Recorded(Results):
     def __init__(self, recording: Recording, sensor: Sensor) -> None:
-        self._recording: Recording | None = recording
-        self._sensor, self._tracker = sensor, ContactTracker()
+        self._recording, self._sensor, self._tracker = recording, sensor, ContactTracker()
         self._skipped = 0
 
     @property
     def passed_over(self) -> int:
         return self._skipped
 
-    def __next__(self) -> Result:
-        while self._recording is not None:
+    def _next(self) -> Result | None:
+        while True:
             try:
                 recorded = self._recording.read()
             except DecodeError as error:
                 _log.warning("%s", error)
                 self._skipped += 1
                 continue
-            if recorded is None:
-                break
-            return self._sensor.step(recorded.frame, self._tracker)
-        self.close()
-        raise StopIteration
+            return None if recorded is None else self._sensor.step(recorded.frame, self._tracker)
 
-    def close(self) -> None:
-        self._recording = None
+    def _release(self) -> None:
+        del self._recording
 
 
 def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:

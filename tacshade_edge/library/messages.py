@@ -10,7 +10,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.topics import HandObjects, decode_hand
-from tacshade_edge.storage.runs.run_files import payloads
+from tacshade_edge.storage.runs import payloads
 
 Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.SigmaMessage
 

@@ -185,13 +185,27 @@ class Results(ABC, Iterator[Result]):
         """Number of messages that no daemon publishes, from `listen`; the log shows the first."""
         return 0
 
-    @abstractmethod
+    _closed = False
+
     def __next__(self) -> Result:
         """Return the next result. Raises DeviceError, ConfigError."""
+        if self._closed or (result := self._next()) is None:
+            self.close()
+            raise StopIteration
+        return result
 
-    @abstractmethod
     def close(self) -> None:
         """Release the camera, recording or connection; safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            self._release()
+
+    @abstractmethod
+    def _next(self) -> Result | None:
+        """The next result; None at the end."""
+
+    @abstractmethod
+    def _release(self) -> None: ...
 
     def __enter__(self) -> Self:
         return self

@@ -95,13 +95,7 @@ class Sensor:
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:
-        """Reconstruct a frame of a stream and track its objects; for the library's internal use.
-
-        Raises
-        ------
-        ConfigError
-            Another thread is using the sensor.
-        """
+        """Reconstruct a frame of a stream and track its objects; for the library's internal use. Raises ConfigError."""
         if not self._in_use.acquire(blocking=False):
             raise ConfigError(
                 "sensor: found two threads using one sensor, expected one thread; load a sensor in each thread"

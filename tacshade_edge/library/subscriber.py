@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import secrets
 import select
 import time
@@ -24,14 +23,11 @@ from tacshade_edge.reasons import ReasonCode
 
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
-_STATES_S: Final = 1.0
-_THERE_MAX: Final = 64
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
 _ID_CHARS_MAX: Final = 255
-_STATE: Final = re.compile(r"tacshade/([^/\ufffd]+)/state")
 _SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
 
@@ -89,19 +85,14 @@ class _Heard(Results):
         self._client, self._address = client, (host, port)
         self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
         self._failure = ""
-        self._connected = self._closed = False
+        self._connected = False
         self._frames = frames = FrameAssembler()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
-        self._there: set[str] = set()  # the sensors with a state, asked for after a silence
 
         def receive(topic: str, message: Any) -> None:
-            if topic.startswith(f"{self._base}/"):
-                frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
-            elif found := _STATE.fullmatch(topic):
-                if len(self._there) < _THERE_MAX:
-                    self._there.add(found[1])
-            else:
+            if not topic.startswith(f"{self._base}/"):
                 raise DecodeError(f"found the topic {quoted(topic)}, expected one below {self._base}/")
+            frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
 
         client.receive(receive)
         self._connect()
@@ -114,9 +105,7 @@ class _Heard(Results):
     def refused(self) -> int:
         return self._client.refused
 
-    def __next__(self) -> Result:
-        if self._closed:
-            raise StopIteration
+    def _next(self) -> Result:
         if not self._connected:
             self._connect()
         end_s = time.monotonic() + _SILENT_S
@@ -127,12 +116,6 @@ class _Heard(Results):
             if self._frames.whole and not self._waits() and (result := self._frames.take()) is not None:
                 return result
         raise self._silence()
-
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        self._hang_up()
 
     def _connect(self) -> None:
         self._failure = ""
@@ -160,7 +143,7 @@ class _Heard(Results):
         pending = getattr(sock, "pending", None)  # bytes that TLS has already decrypted
         return bool(pending and pending()) or bool(select.select([sock], [], [], 0)[0])
 
-    def _hang_up(self) -> None:
+    def _release(self) -> None:
         self._connected = False
         with contextlib.suppress(OSError):
             self._client.disconnect()
@@ -168,24 +151,16 @@ class _Heard(Results):
             pass
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
-        self._hang_up()
+        self._release()
         return DeviceError(
             f"{self._where}: {found}; expected a broker that serves topics under {self._base}/", code=code
         )
 
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
-        state = f"the sensor's state is {shown(self._frames.state)}"
-        if not self._frames.state:
-            self._client.subscribe("tacshade/+/state", 0)
-            end_s = time.monotonic() + _STATES_S
-            while time.monotonic() < end_s and self._step(_POLL_S):
-                pass
-            there = ", ".join(map(shown, sorted(self._there))) or "no sensor"
-            state = f"no daemon has published a state, expected one of those that have: {there}"
-        reason = self._frames.info.reason
-        known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
-        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {state}{known}"
+        state, reason = shown(self._frames.state), escaped(self._frames.info.reason, _REASON_CHARS_MAX)
+        known = f"the sensor's state is {state}" if state else "no daemon has published a state, expected its sensor_id"
+        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {known}{'; ' * bool(reason)}{reason}"
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
     # -- called by paho, in the caller's thread ----------------------------------------------------------------------

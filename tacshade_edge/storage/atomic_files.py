@@ -29,19 +29,18 @@ def disk_errors(folder: Path) -> Iterator[None]:
         raise DeviceError(f"{where}: cannot write it: {error.strerror or error}", code=ReasonCode.DISK) from None
 
 
-def require_free(folder: Path, floor_bytes: int | None = None) -> None:
-    """Raise DeviceError (DISK_FULL) if a folder's disk has less free space than `FREE_FLOOR_BYTES`; it need not exist
-    yet.
-    """
-    floor_bytes = FREE_FLOOR_BYTES if floor_bytes is None else floor_bytes
+def is_nearly_full(folder: Path) -> bool:
+    """Whether a folder's disk has less free space than `FREE_FLOOR_BYTES`."""
+    return shutil.disk_usage(folder).free < FREE_FLOOR_BYTES
+
+
+def require_free(folder: Path) -> None:
+    """Raise DeviceError (DISK_FULL) if the disk of a folder, which need not exist yet, is nearly full."""
     existing = next(path for path in (folder, *folder.parents) if path.exists())
-    free = shutil.disk_usage(existing).free
-    if free < floor_bytes:
-        found, expected = free // 2**20, floor_bytes // 2**20
-        raise DeviceError(
-            f"{existing}: found {found} MiB free on the disk, expected at least {expected} MiB",
-            code=ReasonCode.DISK_FULL,
-        )
+    if is_nearly_full(existing):
+        found, expected = shutil.disk_usage(existing).free // 2**20, FREE_FLOOR_BYTES // 2**20
+        text = f"{existing}: found {found} MiB free on the disk, expected at least {expected} MiB"
+        raise DeviceError(text, code=ReasonCode.DISK_FULL)
 
 
 def part(path: Path) -> Path:
@@ -52,10 +51,8 @@ def part(path: Path) -> Path:
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
-    """Write a file under a temporary name, then rename it. Raises OSError and then leaves nothing behind.
-
-    A device or pipe, such as ``/dev/null``, is refused, because the file would replace it. With `sync` it waits for the
-    disk; whoever writes many files calls `sync` later.
+    """Write a file under a temporary name, then rename it; refuse to replace a device or pipe such as ``/dev/null``.
+    With `sync` it waits for the disk. Raises OSError and then leaves nothing behind.
     """
     partial = part(path)
     with contextlib.suppress(FileNotFoundError):
@@ -75,9 +72,8 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
 
 
 def write_set(folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes) -> None:
-    """Write files that belong together: `manifest` is absent while they are mixed with older ones.
-
-    Every file is on the disk under a temporary name before the first one replaces an older one. Raises OSError.
+    """Write files that belong together, all to the disk before the first one replaces an older one: `manifest` is
+    absent while they are mixed with older ones. Raises OSError.
     """
     new = [folder / f"{name}.new" for name in files]
     try:
@@ -111,9 +107,7 @@ _OWNER_BYTES_MAX = 200
 
 class FolderLock:
     """A lock that this process holds on a folder, or on a file in it, until `release` or its own end, whichever way.
-
-    Others who want it see the name of the `owner` with this process's id. Raises DeviceError if another process holds
-    it (IN_USE, with its name), or it cannot be written.
+    Raises DeviceError if another process holds it (IN_USE, with its `owner` and process id), or it cannot be written.
     """
 
     def __init__(self, folder: Path, owner: str, *, file: str = "") -> None:

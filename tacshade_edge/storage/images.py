@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,9 +20,8 @@ _PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
 
 
 def read_image(path: Path) -> U8:
-    """Read one image of at most 64 MiB, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError.
-
-    It is as stored, ignoring EXIF orientation, without an alpha channel, and with 16 bits reduced to 8.
+    """Read one image of at most 64 MiB as stored, uint8 (H, W) grey or (H, W, 3) BGR: ignoring EXIF orientation,
+    without an alpha channel, 16 bits reduced to 8. Raises DecodeError.
     """
     try:
         data = read_regular(path, BYTES_MAX)
@@ -51,3 +51,9 @@ def images_in(given: Iterable[Path]) -> list[Path]:
 def png(image: U8) -> bytes:
     """Encode an image as a PNG file, lossless and fast."""
     return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())
+
+
+def number_in(name: str, prefix: str) -> int:
+    """The number in ``PREFIX_NUMBER.png``; 0 in any other name."""
+    found = re.fullmatch(rf"{prefix}_(\d{{1,18}})\.png", name, re.ASCII)
+    return int(found[1]) if found else 0

@@ -1,7 +1,5 @@
-"""An ``.npz`` file of canonical JSON and some arrays with the CRC-32 of both, and the records in it.
-
-A record is a dataclass of numbers, texts and arrays, with the bounds of its numbers in its types. Whatever a file says,
-reading it takes no more memory than `BYTES_MAX` allows, and what it holds is a record or refused in one line.
+"""An ``.npz`` file of canonical JSON and some arrays with the CRC-32 of both, and the records in it: dataclasses of
+numbers, texts and arrays, with the bounds of the numbers in their types. Reading takes no more memory than `BYTES_MAX`.
 """
 
 from __future__ import annotations
@@ -68,31 +66,25 @@ def read(name: str, what: str, writer: str) -> Content:
         # In the file's order; another version may have other arrays, which its checksum covers.
         arrays = read_arrays(name, BYTES_MAX)
         meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
+        known = json.loads(meta)
+        if not isinstance(known, dict):
+            raise ValueError("found other JSON than a record")
     except OSError as error:
         raise ConfigError(
             f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
         ) from None
-    except (DecodeError, KeyError, ValueError, TypeError):
+    except (DecodeError, KeyError, ValueError, TypeError, RecursionError):
         raise ConfigError(
             f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
         ) from None
-    if _crc32(meta, arrays) != crc:
-        raise ConfigError(
-            f"{name}: the file is damaged: found checksum {_crc32(meta, arrays):08x}, expected the stored {crc:08x}"
-        )
-    try:
-        known = json.loads(meta)
-    except (ValueError, RecursionError):
-        known = None
-    if not isinstance(known, dict):
-        raise ConfigError(f"{name}: not a {what}; expected a file written by {writer}")
+    if (found := _crc32(meta, arrays)) != crc:
+        raise ConfigError(f"{name}: the file is damaged: found checksum {found:08x}, expected the stored {crc:08x}")
     return Content(known, arrays)
 
 
 def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], dict[str, Array]]:
-    """A record's values and arrays by field, those of a dataclass in it as its own.
-
-    A field that has its default is left out unless it is in `kept`, so that a record without it keeps its checksum.
+    """A record's values and arrays by field, those of a dataclass in it as its own. A field with its default is left
+    out unless it is in `kept`, so that a record without it keeps its checksum.
     """
     meta: dict[str, Any] = {}
     arrays: dict[str, Array] = {}
@@ -117,10 +109,8 @@ def record_of(kind: type[T], values: Mapping[str, Any], *, strict: bool = True) 
 
 
 def read_arrays(path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf") -> dict[str, Array]:
-    """Read every array of any ``.npz`` file in the file's order; `kinds` are the accepted kinds of `numpy.dtype`.
-
-    Raises OSError like `read_regular`, and DecodeError if the file is damaged, of another kind, or larger than
-    `bytes_max`, packed or unpacked.
+    """Every array of any ``.npz`` file in the file's order; `kinds` are the accepted kinds of `numpy.dtype`. Raises
+    OSError, and DecodeError if the file is damaged, of another kind, or, packed or not, larger than `bytes_max`.
     """
     try:
         data = read_regular(path, bytes_max)

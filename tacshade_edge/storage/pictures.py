@@ -17,7 +17,8 @@ from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
-BAR_PX = 78
+_BAR_PX = 12
+BAR_PX = LEFT_PX + _BAR_PX + RIGHT_PX
 TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
 SEEN_PX = 900  # up to which `reference_picture` enlarges
 _FOUND = (0, 230, 255)
@@ -47,18 +48,19 @@ def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
     return [(value, (value - axis.first) / axis.per_px) for value in values]
 
 
-def framed(picture: U8, x: Axis, y: Axis) -> U8:
-    """The picture, uint8 (H, W, 3) BGR, on white with two axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
+def framed(picture: U8, x: Axis | None, y: Axis) -> U8:
+    """The picture, uint8 (H, W, 3) BGR, on white with its axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
     rows, cols = picture.shape[:2]
     paper = np.full((TOP_PX + rows + BOTTOM_PX, LEFT_PX + cols + RIGHT_PX, 3), 255, np.uint8)
     paper[TOP_PX : TOP_PX + rows, LEFT_PX : LEFT_PX + cols] = picture
     cv2.rectangle(paper, (LEFT_PX - 1, TOP_PX - 1), (LEFT_PX + cols, TOP_PX + rows), _BLACK, 1)
-    for value, at_px in ticks(x, cols):
+    for value, at_px in ticks(x, cols) if x else ():
         place = LEFT_PX + round(at_px), TOP_PX + rows
         cv2.line(paper, place, (place[0], place[1] + _TICK_PX), _BLACK, 1)
         text = f"{value:g}"
         _write(paper, text, place[0] - _width_px(text) // 2, place[1] + _TICK_PX + 12)
-    _write(paper, x.label, LEFT_PX + (cols - _width_px(x.label)) // 2, TOP_PX + rows + BOTTOM_PX - 5)
+    if x:
+        _write(paper, x.label, LEFT_PX + (cols - _width_px(x.label)) // 2, TOP_PX + rows + BOTTOM_PX - 5)
     for value, at_px in ticks(y, rows):
         row, text = TOP_PX + round(at_px), f"{value:g}"
         cv2.line(paper, (LEFT_PX - 1, row), (LEFT_PX - 1 - _TICK_PX, row), _BLACK, 1)
@@ -69,16 +71,9 @@ def framed(picture: U8, x: Axis, y: Axis) -> U8:
 
 def colour_bar(height_px: int, top: float, label: str) -> U8:
     """A bar of the colours from 0 to `top`, as high as a picture of `height_px` rows after `framed`."""
-    paper = np.full((TOP_PX + height_px + BOTTOM_PX, BAR_PX, 3), 255, np.uint8)
-    levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(12, axis=1)
-    paper[TOP_PX : TOP_PX + height_px, 4:16] = cv2.applyColorMap(levels, _COLOURS)
-    cv2.rectangle(paper, (3, TOP_PX - 1), (16, TOP_PX + height_px), _BLACK, 1)
-    for value, from_bottom_px in ticks(Axis(label, 0.0, top / max(height_px - 1, 1)), height_px):
-        row = TOP_PX + height_px - 1 - round(from_bottom_px)
-        cv2.line(paper, (16, row), (16 + _TICK_PX, row), _BLACK, 1)
-        _write(paper, f"{value:g}", 24, row + 4)
-    _write(paper, label, 2, TOP_PX - 7)
-    return paper
+    levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(_BAR_PX, axis=1)
+    bar = np.asarray(cv2.applyColorMap(levels, _COLOURS), np.uint8)
+    return framed(bar, None, Axis(label, top, -top / max(height_px - 1, 1)))
 
 
 def write_picture(path: Path, picture: U8) -> None:
@@ -90,9 +85,8 @@ def write_picture(path: Path, picture: U8) -> None:
 
 
 def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
-    """One reconstruction, uint8 BGR: the image with axes in px; the height in mm with axes, contact and a colour bar.
-
-    The axes measure mm in the plane of the visible circle (`Geometry.mm_per_px`), from its centre.
+    """One reconstruction, uint8 BGR: the image with axes in px, and the height in mm with contact, a colour bar and
+    axes in mm in the plane of the visible circle, from its centre.
     """
     left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     rows, cols = left.shape[:2]
@@ -156,9 +150,8 @@ def reference_picture(
     places_px: Sequence[Sequence[float]] = (),
     guess: Disc | None = None,
 ) -> U8:
-    """A reference, uint8 (H, W), with axes in px, uint8 BGR; of a calibration also what was found: the visible circle
-    and its middle, the white's outlines, five pitches, and the presses' places (column, row). Without one, the
-    likeliest circle is drawn thinly if there is one.
+    """A reference, uint8 (H, W), with axes in px, uint8 BGR; of a calibration also the visible circle and its middle,
+    the white's outlines, five pitches, and the presses' places (column, row); else the likeliest circle, drawn thinly.
     """
     zoom = max(1, SEEN_PX // max(grey.shape))
     picture = cv2.resize(
@@ -190,18 +183,9 @@ def reference_picture(
 def height_png(height_mm: F32) -> bytes:
     """A height map (rows, cols) as PNG, three pixels a cell, white outside the disc, beside its colour bar."""
     top = max(float(np.nanmax(height_mm, initial=0.0)), 0.1)
-    level = np.nan_to_num(np.clip(height_mm / top, 0, 1) * 255).astype(np.uint8)
-    picture = cv2.applyColorMap(level, _COLOURS)
-    picture[~np.isfinite(height_mm)] = 255
-    picture = cv2.resize(picture, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
-    sides = TOP_PX, BOTTOM_PX, 0, 0
-    whole = np.hstack(
-        [
-            cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=_WHITE),
-            colour_bar(len(picture), top, "h (mm)"),
-        ]
-    )
-    return bytes(cv2.imencode(".png", whole)[1])
+    picture = _colours(height_mm, 0.0, top, 255).repeat(3, axis=0).repeat(3, axis=1)
+    padded = cv2.copyMakeBorder(picture, TOP_PX, BOTTOM_PX, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)
+    return bytes(cv2.imencode(".png", np.hstack([padded, colour_bar(len(picture), top, "h (mm)")]))[1])
 
 
 def preview(raster: Raster) -> U8:
@@ -210,9 +194,7 @@ def preview(raster: Raster) -> U8:
     rows, cols = raster.z_mm.shape
     stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))  # a subset of cells is enough for a large map
     z = raster.z_mm[::stride, ::stride]
-    level = np.nan_to_num(np.clip((z - low) / max(high - low, 0.1) * 255, 0, 255)).astype(np.uint8)
-    picture = np.asarray(cv2.applyColorMap(level, _COLOURS), np.uint8)
-    picture[~np.isfinite(z)] = _UNTOUCHED_GREY
+    picture = _colours(z, low, max(high, low + 0.1), _UNTOUCHED_GREY)
     if max(z.shape) > PREVIEW_PX:
         size = tuple(max(1, round(s * PREVIEW_PX / max(z.shape))) for s in z.shape[::-1])
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -230,6 +212,14 @@ def height_span_mm(z_mm: F32) -> tuple[float, float]:
     """The least and the greatest height in mm; zeros if nothing was touched."""
     low, high = float(np.fmin.reduce(z_mm, axis=None)), float(np.fmax.reduce(z_mm, axis=None))
     return (low, high) if math.isfinite(low) else (0.0, 0.0)
+
+
+def _colours(values: F32, low: float, high: float, elsewhere: int) -> U8:
+    """Values from `low` to `high` in colours, uint8 BGR; where there is none, the grey `elsewhere`."""
+    level = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1) * 255).astype(np.uint8)
+    picture = np.asarray(cv2.applyColorMap(level, _COLOURS), np.uint8)
+    picture[~np.isfinite(values)] = elsewhere
+    return picture
 
 
 def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:

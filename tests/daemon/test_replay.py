@@ -22,7 +22,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
-from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, payloads
+from tacshade_edge.storage.runs import CLOUDS, HEIGHTS, payloads
 from tacshade_edge.types import Reconstruction
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration

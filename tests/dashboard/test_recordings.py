@@ -19,8 +19,7 @@ from websockets.exceptions import InvalidStatus
 
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
@@ -43,7 +42,7 @@ def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> 
 @pytest.mark.parametrize("kind", ["folder", "mcap"])
 def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "run"
-    recorder = Recorder(path, free_floor_bytes=0) if kind == "folder" else McapRecorder(path, "t", free_floor_bytes=0)
+    recorder = Recorder(path) if kind == "folder" else McapRecorder(path, "t")
     recorder.begin("", painted_calibration())
     recorder.add(Frame(0, 1, 1, FREE), png_of(FREE))
     for each in (path, *path.iterdir()):  # no frame for a long time

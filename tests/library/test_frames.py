@@ -46,12 +46,10 @@ def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptur
         assert results.passed_over == 1
     assert [record.message.count("000002.png") for record in caplog.records] == [1]
     assert next(results, None) is None
-
-
-def test_a_recording_that_was_cut_off_is_told(recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     (recording / "frames.csv").rename(recording / "frames.csv.part")
-    assert len(list(ts.read(recording))) == 3
-    assert caplog.messages[0] == f"{recording}: the recording was cut off; reading what is whole"
+    caplog.clear()
+    ts.read(recording)
+    assert caplog.messages == [f"{recording}: the recording was cut off; reading what is whole"]
 
 
 def test_a_recording_without_its_calibration_needs_a_sensor(recording: Path, sensor: ts.Sensor) -> None:

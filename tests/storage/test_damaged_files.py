@@ -32,8 +32,7 @@ from tacshade_edge.storage.calibration.reference_file import StoredReference
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.npz import Content
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session
 from tacshade_edge.storage.tables.frame_table import read_poses
@@ -62,18 +61,10 @@ WORDS = (
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of file.
+    """A kind of file: a good example (content by path below a folder), and how the program reads it as a value.
 
-    Attributes
-    ----------
-    files : mapping of str to bytes
-        A good example: content by path below a folder.
-    read : callable
-        ``read(folder)`` returns a comparable value as the program reads it.
-    damaged : tuple of str
-        The files to damage, one at a time; the first file if empty.
-    checked : bool
-        Whether it has a checksum, so that damage never gives another value without a warning.
+    `damaged` are the files to damage, one at a time, the first one if empty; a `checked` one has a checksum, so that
+    damage never gives another value without a warning.
     """
 
     files: Files
@@ -191,8 +182,8 @@ def kinds() -> dict[str, Kind]:
         files = inside(root / "session")
         made["session"] = Kind(files, read_session, (f"one/{SESSION}", f"one/{PRESSES}"), checked=True)
         recorder, mcap = (
-            Recorder(root / "rec", free_floor_bytes=0),
-            McapRecorder(root / "mcap", "left", free_floor_bytes=0),
+            Recorder(root / "rec"),
+            McapRecorder(root / "mcap", "left"),
         )
         for one in (recorder, mcap):
             one.begin("sensor_id: a\n", plain)

@@ -24,15 +24,7 @@ def test_a_lossless_image_is_read_as_written(tmp_path: Path, suffix: str) -> Non
     np.testing.assert_array_equal(read_image(path), PICTURE)
 
 
-def test_a_grey_image_stays_grey_and_16_bits_become_8(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "grey.png"), PICTURE[:, :, 0])
-    np.testing.assert_array_equal(read_image(tmp_path / "grey.png"), PICTURE[:, :, 0])
-    cv2.imwrite(str(tmp_path / "deep.png"), PICTURE[:, :, 0].astype(np.uint16) * 256)
-    np.testing.assert_array_equal(read_image(tmp_path / "deep.png"), PICTURE[:, :, 0])
-
-
-@pytest.mark.parametrize("suffix", [".png", ".tiff", ".pgm"])
-@pytest.mark.parametrize(("bits", "factor"), [(10, 64), (12, 16)])
+@pytest.mark.parametrize(("suffix", "bits", "factor"), [(".png", 10, 64), (".tiff", 12, 16), (".pgm", 10, 64)])
 def test_values_of_ten_or_twelve_bits_in_16_are_refused(tmp_path: Path, suffix: str, bits: int, factor: int) -> None:
     path = tmp_path / f"deep{suffix}"
     deep = PICTURE[:, :, 0].astype(np.uint16) << (bits - 8)
@@ -88,6 +80,7 @@ OTHERS: dict[str, tuple[bytes, str]] = {
     "a turned jpeg": (pillow("JPEG", quality=100, exif=TURNED), ""),
     "a palette": (pillow("PNG", "P"), ""),
     "alpha": (pillow("PNG", "LA"), ""),
+    "a jpeg padded by the camera": (pillow("JPEG", quality=100) + bytes(100), ""),
     "numbers as text": (ASCII, ""),
 }
 
@@ -104,35 +97,17 @@ def test_other_kinds_of_pictures_are_read_right_or_named(tmp_path: Path, name: s
         assert np.abs(found - (GREY if found.ndim == 2 else GREY[:, :, None])).max() < 5
 
 
-def test_a_jpeg_padded_by_the_camera_is_whole(tmp_path: Path) -> None:
-    path = tmp_path / "padded.jpg"
-    cv2.imwrite(str(path), PICTURE)
-    path.write_bytes(path.read_bytes() + bytes(100))
-    assert read_image(path).shape == PICTURE.shape
-
-
 def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
-    (tmp_path / "text.png").write_text("hello")
+    os.mkfifo(tmp_path / "pipe.png")
+    with (tmp_path / "huge.png").open("wb") as stream:
+        stream.truncate(BYTES_MAX + 1)
     for name, said in {
         "empty.png": "found 0 bytes",
-        "text.png": "found 5 bytes",
         "none.png": "No such file",
         "nul\0.png": "embedded null",
+        "pipe.png": "found no regular file, expected an image$",
+        "huge.png": "found more than 67108864 bytes, expected an image$",
     }.items():
         with pytest.raises(DecodeError, match=said):
             read_image(tmp_path / name)
-
-
-def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.png")
-    for path in (tmp_path / "pipe.png", Path("/dev/zero")):
-        with pytest.raises(DecodeError, match=f"{path.name}: found no regular file, expected an image$"):
-            read_image(path)
-
-
-def test_a_file_of_more_than_64_mib_is_not_read(tmp_path: Path) -> None:
-    with (tmp_path / "huge.png").open("wb") as stream:
-        stream.truncate(BYTES_MAX + 1)
-    with pytest.raises(DecodeError, match=r"huge\.png: found more than 67108864 bytes, expected an image$"):
-        read_image(tmp_path / "huge.png")

@@ -60,9 +60,6 @@ def test_what_is_none(tmp_path: Path, data: bytes, said: str) -> None:
     with pytest.raises(DecodeError, match=said) as refusal:
         read_stl(path)
     assert str(path) in str(refusal.value)
-
-
-def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(DecodeError, match="expected an STL file"):
         read_stl(tmp_path / "none.stl")
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import os
 import struct
 import tracemalloc
 import zipfile
@@ -75,12 +74,11 @@ def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: 
         tracemalloc.stop()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path, compression: int) -> None:
-    size = 200 << 20
+    size = 16 << 20
     data = packed({"meta.npy": array(np.zeros(size, np.uint8))}, compression)
-    assert len(data) < 1 << 20
+    assert len(data) < 1 << 17
     stated = struct.pack("<I", size + 128)
     assert data.count(stated) == 2
     data = data.replace(stated, struct.pack("<I", 4096))
@@ -88,13 +86,13 @@ def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path,
     try:
         with pytest.raises(ConfigError, match="damaged"):
             read(tmp_path / "c.npz", data)
-        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
         tracemalloc.stop()
 
 
 def test_a_directory_of_many_entries_is_not_read(tmp_path: Path) -> None:
-    entries = 300_000 * (struct.pack("<4s6H3I5H2I", b"PK\1\2", *[0] * 9, 1, *[0] * 6) + b"a")
+    entries = 30_000 * (struct.pack("<4s6H3I5H2I", b"PK\1\2", *[0] * 9, 1, *[0] * 6) + b"a")
     (tmp_path / "c.npz").write_bytes(entries + struct.pack("<4s4H2IH", b"PK\5\6", *[0] * 4, len(entries), 0, 0))
     tracemalloc.start()
     try:
@@ -111,9 +109,3 @@ def test_of_two_arrays_of_one_name_none_is_read(tmp_path: Path) -> None:
         archive.writestr("h.npy", array(np.eye(2)))
     with pytest.raises(ConfigError, match="damaged"):
         read(tmp_path / "c.npz", stream.getvalue())
-
-
-def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "c.npz")
-    with pytest.raises(ConfigError, match=r"c\.npz: cannot read the calibration: found no regular file; expected a fi"):
-        npz.read(str(tmp_path / "c.npz"), "calibration", "somebody")

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 
@@ -18,13 +15,10 @@ from tacshade_edge.storage.pictures import (
     SHEET_COLUMNS,
     TILE_PX,
     TOP_PX,
-    Axis,
     contact_sheet,
     panel,
     preview,
-    ticks,
     tile,
-    write_picture,
 )
 from tacshade_edge.types import U8, Frame, Reconstruction
 from tools.testbed.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
@@ -54,36 +48,6 @@ def test_a_picture_of_every_outcome(image: U8, colour: bool) -> None:
     below = picture[TOP_PX + HEIGHT + 6 : TOP_PX + HEIGHT + BOTTOM_PX]
     assert (below[:, :width] < 128).any()
     assert (below[:, width : 2 * width] < 128).any()
-
-
-def test_the_axis_is_round_millimetres_from_the_discs_centre() -> None:
-    mm = GEOMETRY.mm_per_px
-    found = ticks(Axis("x (mm)", -GEOMETRY.disc.col_c * mm, mm), WIDTH)
-    assert [value for value, _ in found] == [-20, 0, 20]
-    assert dict(found)[0] == pytest.approx(GEOMETRY.disc.col_c)
-    assert dict(found)[20] == pytest.approx(GEOMETRY.disc.col_c + 20 / mm)
-
-
-def test_the_deepest_is_the_brightest() -> None:
-    result = result_of(TOUCHED)
-    right = panel(TOUCHED, result, GEOMETRY)[TOP_PX:, LEFT_PX + WIDTH + RIGHT_PX + LEFT_PX :]
-    right = right[:HEIGHT, :WIDTH].astype(int).sum(axis=2)
-    height = result.height
-    rows = np.rint((np.arange(HEIGHT) - height.row0) / height.step_px).astype(int).clip(0, height.contact.shape[0] - 1)
-    cols = np.rint((np.arange(WIDTH) - height.col0) / height.step_px).astype(int).clip(0, height.contact.shape[1] - 1)
-    contact = height.contact[np.ix_(rows, cols)].astype(np.uint8)
-    inside = np.hypot(np.arange(HEIGHT)[:, None] - 59.5, np.arange(WIDTH)[None, :] - 79.5) < 45
-    assert contact[:, :WIDTH].sum() > 500
-    core = cv2.erode(contact, np.ones((9, 9), np.uint8)) > 0
-    assert right[core].mean() > right[inside & (contact == 0)].mean() + 50
-
-
-def test_a_frame_of_another_size_is_shown_with_its_reason(tmp_path: Path) -> None:
-    image = np.full((50, 70), 90, np.uint8)
-    result = result_of(image)
-    assert not result.valid
-    write_picture(tmp_path / "p.png", panel(image, result, GEOMETRY))
-    assert cv2.imread(str(tmp_path / "p.png")).shape[1] == 2 * (LEFT_PX + 70 + RIGHT_PX) + BAR_PX
 
 
 def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
@@ -116,12 +80,3 @@ def test_a_preview_has_y_upwards_and_holes_in_grey() -> None:
     assert picture[2, 2].astype(int).sum() != picture[30 * zoom - 3, 2].astype(int).sum()
     assert max(preview(raster(3000, 10)).shape) < 1100
     assert preview(Raster(np.full((1, 1), np.nan, np.float32), 0, 0, 0.25)).ndim == 3
-
-
-def test_a_preview_has_ticks_in_millimetres_in_line_with_the_cells_there() -> None:
-    picture, zoom = preview(raster(30, 40)), PREVIEW_PX // 40
-    below, beside = picture[TOP_PX + 30 * zoom + 2, LEFT_PX:], picture[TOP_PX : TOP_PX + 30 * zoom, LEFT_PX - 3]
-    at = [(x - 10) / 0.25 * zoom + zoom / 2 for x in range(10, 20)]
-    assert np.flatnonzero((below == 0).all(axis=1)) == pytest.approx(at, abs=1)
-    at = [(29 - (y + 20) / 0.25) * zoom + zoom / 2 for y in range(-13, -21, -1)]
-    assert np.flatnonzero((beside == 0).all(axis=1)) == pytest.approx(at, abs=1)

@@ -31,10 +31,10 @@ from tacshade_edge.factories import sources
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
-from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
+from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
-from tacshade_edge.storage.tables.presses import BALL
+from tacshade_edge.storage.tables.presses import BALL, read_plan
 from tacshade_edge.types import Frame, Pose
 
 _CALIBRATION = "calibration.npz"

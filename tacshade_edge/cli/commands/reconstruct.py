@@ -21,7 +21,7 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import images_in, read_image
 from tacshade_edge.storage.pictures import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
-from tacshade_edge.storage.runs.run_files import summary
+from tacshade_edge.storage.runs import summary
 from tacshade_edge.types import Frame, Reconstruction
 
 SHEET = "contact-sheet.png"

@@ -19,8 +19,7 @@ from tacshade_edge.quoting import shown
 from tacshade_edge.settings import load
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
-from tacshade_edge.storage.runs.run_compare import figures, first_difference
-from tacshade_edge.storage.runs.run_files import RunWriter
+from tacshade_edge.storage.runs import RunWriter, figures, first_difference
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

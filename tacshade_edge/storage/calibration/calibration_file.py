@@ -93,9 +93,8 @@ def with_crc(calibration: Calibration) -> Calibration:
 
 
 def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None) -> Calibration:
-    """Write a calibration whole, and its source images for `inputs_in`; return it with its `crc32`. Raises DeviceError.
-
-    If the images are too large, a log line says so.
+    """Write a calibration whole, and its source images (the log says if they are too large) for `inputs_in`; return it
+    with its `crc32`. Raises DeviceError.
     """
     stored = with_crc(calibration)
     content = _content(stored)
@@ -112,10 +111,8 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration. An older version loads without factors and fit, and the log says so.
-
-    Raises ConfigError if the file is absent, not a calibration, of another version, damaged, or describes an impossible
-    sensor; the functions below read files of any version and raise alike.
+    """Read a calibration; an older version loads without factors and fit, and the log says so. Raises ConfigError, as
+    do the functions below, which read files of any version.
     """
     return _read(path, lambda content: _calibration(path, content))
 
@@ -193,12 +190,10 @@ def _touch(content: Content) -> dict[str, TouchModel]:
             raise ValueError("touch model: found other arrays than expected")
         others = [key for key in TOUCH_ARRAYS if key != "components"]
         sizes = [math.prod(shapes[key]) for key in others]
-        numbers, components = (content.arrays.get(f"touch_{name}{end}") for end in ("", "_components"))
+        numbers, components = (content.arrays.get(f"touch_{name}{end}", np.zeros(0)) for end in ("", "_components"))
         stored = (numbers, np.float32, [sum(sizes)]), (components, np.float16, shapes["components"])
-        if any(array is None or array.dtype != kind or list(array.shape) != shape for array, kind, shape in stored):
+        if any(array.dtype != kind or list(array.shape) != shape for array, kind, shape in stored):
             raise ValueError("touch model: expected arrays as large as they are said to be")
-        assert numbers is not None
-        assert components is not None
         if numbers.nbytes + components.nbytes > TOUCH_BYTES_MAX:
             raise ValueError(f"touch model: more than {TOUCH_BYTES_MAX >> 20} MB")
         parts = zip(others, np.split(numbers, np.cumsum(sizes)[:-1]), strict=True)
@@ -217,6 +212,7 @@ def _profiles(content: Content, key: str) -> dict[str, dict[str, Any]]:
 
 IMAGES, TRIANGLES = "input_images", "input_triangles"
 INPUT_ARRAYS = (IMAGES, TRIANGLES)
+_SIZED = "reference_grey"  # of the images' size
 INPUT_BYTES_MAX: Final = 48 << 20
 """Greatest total size of the images; larger ones are not stored."""
 _OF_PRESSES = ("indenter", "yaw_deg", "tilt_x_deg", "tilt_y_deg")
@@ -266,23 +262,24 @@ def unpack_inputs(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Inputs 
     if "inputs" not in meta:
         return None
     try:
-        shape = arrays["reference_grey"].shape
-        if len(shape) != 2:
-            raise ValueError("expected an image in reference_grey")
-        return _inputs(msgspec.convert(meta["inputs"], _Inputs), arrays[IMAGES], arrays[TRIANGLES], shape)
+        return _inputs(msgspec.convert(meta["inputs"], _Inputs), *(arrays[name] for name in (*INPUT_ARRAYS, _SIZED)))
     except (ValueError, KeyError) as error:
         raise ValueError(f"cannot read the stored images: {error}") from None
 
 
-def _inputs(known: _Inputs, files: Any, solids: Any, shape: tuple[int, int]) -> Inputs:
-    if len(known.pressed) != len(known.presses):
-        raise ValueError("expected an image for each press")
-    if files.dtype != np.uint8 or files.ndim != 1:
-        raise ValueError(f"expected the bytes of images in {IMAGES}")
-    if solids.dtype != np.float64 or solids.shape[1:] != (3, 3) or not np.isfinite(solids).all():
-        raise ValueError(f"expected triangles in {TRIANGLES}")
+def _inputs(known: _Inputs, files: Any, solids: Any, reference: Any) -> Inputs:
+    expected = {
+        f"an image in {_SIZED}": reference.ndim == 2,
+        "an image for each press": len(known.pressed) == len(known.presses),
+        f"the bytes of images in {IMAGES}": files.dtype == np.uint8 and files.ndim == 1,
+        f"triangles in {TRIANGLES}": solids.dtype == np.float64
+        and solids.shape[1:] == (3, 3)
+        and np.isfinite(solids).all(),
+    }
+    if missing := next((what for what, is_there in expected.items() if not is_there), ""):
+        raise ValueError(f"expected {missing}")
     lengths = [*known.references, *known.renewed, *known.pressed]
-    images = [_grey(part, shape) for part in _parts(files, lengths)]
+    images = [_grey(part, reference.shape) for part in _parts(files, lengths)]
     triangles = _parts(solids, [each.triangles for each in known.indenters])
     indenters = [Indenter(each.name, part) for each, part in zip(known.indenters, triangles, strict=True)]
     first, second = len(known.references), len(known.references) + len(known.renewed)

@@ -52,9 +52,8 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
 
 
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
-    """Read the stored reference of a calibration, given as in its file; None if there is none.
-
-    Raises ConfigError if it is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
+    """Read the stored reference of a calibration, given as in its file; None if there is none. Raises ConfigError if it
+    is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
     """
     if not os.path.lexists(path):
         return None

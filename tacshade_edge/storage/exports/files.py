@@ -36,9 +36,8 @@ _MOTION: Final = (
 
 @contextlib.contextmanager
 def new_path(path: Path) -> Iterator[Path]:
-    """The ``.part`` of a new file or folder, which gets its final name when the block ends; an error removes it.
-
-    Raises ConfigError if the name exists already, and DeviceError if the disk is nearly full or cannot be written.
+    """The ``.part`` of a new file or folder, which gets its final name when the block ends; an error removes it. Raises
+    ConfigError if the name exists, and DeviceError if the disk is nearly full or cannot be written.
     """
     if path.exists():
         raise ConfigError(f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN)

@@ -1,7 +1,4 @@
-"""Exports of recordings as one MCAP file for Foxglove, Lichtblick and Rerun; docs/how-to/recordings.md has the topics.
-
-It needs the extra ``mcap``.
-"""
+"""Exports of recordings as one MCAP file for viewers, which needs the extra ``mcap``; docs/how-to/recordings.md."""
 
 from __future__ import annotations
 

@@ -15,10 +15,8 @@ _log = logging.getLogger(__name__)
 
 
 class FilesSource:
-    """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file.
-
-    A folder's images come in the order of its table (`frame_table`), with its poses, or else of their names; an MCAP
-    file's images come in its order, with its poses. A late reader gets the next frame at once, but never a burst.
+    """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file, in the order of `Recording`,
+    with its poses. A late reader gets the next frame at once, but never a burst.
     """
 
     def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
@@ -51,13 +49,12 @@ class FilesSource:
             return None
         t_ns, wall_ns, seq, row = time.monotonic_ns(), time.time_ns(), self._seq, entry.row
         self._seq += 1
-        image = entry.image()
+        image = entry.picture()
         height, width = image.shape[:2]
         self._size = self._size or (height, width)
         if self._size != (height, width):
             expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
-            where = entry.picture if isinstance(entry.picture, Path) else self._path
-            raise DecodeError(f"{where}: found {width}x{height} px, expected {expected}")
+            raise DecodeError(f"{self._path}: {row.image}: found {width}x{height} px, expected {expected}")
         pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
         return Frame(seq, t_ns, wall_ns, image, pose, row.pose_error_us)
 
@@ -91,14 +88,11 @@ class FilesSource:
 
 
 def first_size_px(path: Path) -> tuple[int, int] | None:
-    """The width and height of the first image in px; None if it cannot be decoded.
-
-    Raises ConfigError if there is no image, or the table is wrong.
-    """
+    """The width and height of the first image in px; None if it is unusable. Raises ConfigError if there is none."""
     if (entry := Recording(path, video_table=False).next_entry()) is None:
         raise ConfigError(f"{path}: found no image, expected an MCAP file with images")
     try:
-        image = entry.image()
+        image = entry.picture()
     except DecodeError:
         return None
     return image.shape[1], image.shape[0]

@@ -1,7 +1,4 @@
-"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame and drops none.
-
-The table of a folder of images is ``frames.csv`` in it; that of a video ``NAME.mp4`` is ``NAME.csv`` next to it.
-"""
+"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame and drops none."""
 
 from __future__ import annotations
 
@@ -10,7 +7,9 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +25,8 @@ from tacshade_edge.storage.tables.frame_table import FrameTable, Row, read_table
 from tacshade_edge.types import U8, Frame
 
 DEFAULT_FPS = 30.0
-Picture = Path | U8 | Callable[[], U8]
-"""An image, or the file or function that gives it when its turn comes."""
+Picture = Callable[[], U8]
+"""Reads an image when its turn comes. Raises DecodeError."""
 
 # OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens playlists, which can name
 # any file or address.
@@ -37,10 +36,8 @@ _FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedFrame:
-    """A frame with the name of its image (or its number in a video or an MCAP file).
-
-    The frame's `wall_ns` is 0, so that equal recordings give equal bytes; this `wall_ns` is the Unix time of the
-    capture, or the frame's `t_ns` if the recording does not state it.
+    """A frame with the name of its image (or its number in a video or an MCAP file) and the Unix time of the capture
+    (or `t_ns`, if unknown); the frame's own `wall_ns` is 0, so that equal recordings give equal bytes.
     """
 
     name: str
@@ -48,8 +45,7 @@ class RecordedFrame:
     wall_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class Entry(NamedTuple):
     """A frame whose picture has not been read yet."""
 
     seq: int
@@ -57,22 +53,15 @@ class Entry:
     picture: Picture
     wall_ns: int
 
-    def image(self) -> U8:
-        """Read the picture. Raises DecodeError."""
-        if isinstance(self.picture, Path):
-            return read_image(self.picture)
-        return self.picture if isinstance(self.picture, np.ndarray) else self.picture()
-
 
 class Recording:
-    """A folder of images, one image or a video in the order and at the times of its table, or an MCAP file (extra
-    ``mcap``). Raises ConfigError if there is nothing to replay, or the table is wrong.
+    """A folder of images (table ``frames.csv``), one image, a video ``NAME.mp4`` (table ``NAME.csv``, if `video_table`)
+    or MCAP. Raises ConfigError if there is nothing to replay, or the table is wrong.
 
-    `fps` is the frame rate of the time stamps (from 0) without a table; with one it is refused. `times` is the number
-    of passes, in which time stamps and numbers keep growing; 0 repeats endlessly. `video_table` says whether a video's
-    table counts. `cut_off`: the writer crashed; everything it wrote before is included. `damage`, for a person, is of
-    the table, or of an MCAP file outside its frames. `images` is the number of frames of one pass and `frames` that of
-    all; 0 or None if unknown before the end.
+    `fps` is the frame rate of the time stamps without a table. Time stamps and numbers keep growing in `times` passes
+    (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote before is included. `damage` is of
+    everything but images, for a person. `images` is the number of frames of one pass and `frames` that of all; 0 or
+    None if unknown before the end.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True) -> None:
@@ -100,15 +89,13 @@ class Recording:
         self._entries: Iterator[Entry] = (Entry(seq, *entry) for seq, entry in entries)
 
     def read(self) -> RecordedFrame | None:
-        """The next frame; None after the last.
-
-        Raises DecodeError if this image is unusable; its number is left out, and the next call continues with the next
-        image. Raises ConfigError if the table has more or fewer rows than the video has frames.
+        """The next frame; None after the last. Raises DecodeError if this image is unusable, after which the next call
+        continues with the next one, and ConfigError if a video's table does not have one row per frame.
         """
         if (entry := self.next_entry()) is None:
             return None
         row = entry.row
-        frame = Frame(entry.seq, row.t_ns, 0, entry.image(), row.pose, row.pose_error_us)
+        frame = Frame(entry.seq, row.t_ns, 0, entry.picture(), row.pose, row.pose_error_us)
         return RecordedFrame(encodable(row.image), frame, entry.wall_ns)
 
     def next_entry(self) -> Entry | None:
@@ -124,12 +111,8 @@ class Recording:
             return self._rows[-1].t_ns - self._rows[0].t_ns if len(self._rows) else 0
         return round(max(self.images - 1, 0) * self._period_ns)
 
-    def skip_to(self, t_ns: int) -> None:
-        """Skip the frames before this time; in a folder their images are not read."""
-        self.skip_to_before(t_ns, 0)
-
-    def skip_to_before(self, t_ns: int, frames: int) -> None:
-        """Skip the frames before this time except the last `frames` of them."""
+    def skip_to(self, t_ns: int, *, frames: int = 0) -> None:
+        """Skip the frames before this time except the last `frames` of them; in a folder their images are not read."""
         before: deque[Entry] = deque(maxlen=frames)
         for entry in self._entries:
             if entry.row.t_ns >= t_ns:
@@ -158,34 +141,31 @@ class Recording:
         for row, picture in self._files():
             yield row, picture, row.t_ns + self._wall_minus_t_ns
 
-    def _files(self) -> Iterator[tuple[Row, Path | U8]]:
-        rows = self._rows
-        if rows is not None and self._path.is_dir():
-            yield from ((row, named_file(self._path, row.image)) for row in rows)
+    def _files(self) -> Iterator[tuple[Row, Picture]]:
+        if self._rows is not None and self._path.is_dir():
+            yield from ((row, partial(read_image, named_file(self._path, row.image))) for row in self._rows)
             return
         images, video = look_at(self._path)
         for index, image in enumerate(images):
-            yield Row(image.name, round(index * self._period_ns), None), image
-        if video is not None:
-            yield from self._video(video, rows)
-            video.release()
-
-    def _video(self, video: cv2.VideoCapture, rows: FrameTable | None) -> Iterator[tuple[Row, U8]]:
+            yield Row(image.name, round(index * self._period_ns), None), partial(read_image, image)
+        if video is None:
+            return
         index = 0
         while (grabbed := video.read())[0]:
-            image = np.asarray(grabbed[1], dtype=np.uint8)
-            if rows is None:
-                yield Row(str(index), round(index * self._period_ns), None), image
-            elif index == len(rows) or rows[index].image != str(index):
-                found = f"frame {rows[index].image!r} in row {index + 1}" if index < len(rows) else f"{index} rows"
-                raise ConfigError(
-                    f"{self._table}: found {found}, expected one row per video frame, with frames numbered from 0"
-                )
-            else:
-                yield rows[index], image
+            yield self._video_row(index), partial(np.asarray, grabbed[1], np.uint8)
             index += 1
-        if rows is not None and index < len(rows):
-            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index} rows, one per video frame")
+        video.release()
+        if self._rows is not None and index < len(self._rows):
+            raise ConfigError(f"{self._table}: found {len(self._rows)} rows, expected {index}, one per video frame")
+
+    def _video_row(self, index: int) -> Row:
+        if self._rows is None:
+            return Row(str(index), round(index * self._period_ns), None)
+        row: Row | None = self._rows[index] if index < len(self._rows) else None
+        if row is None or row.image != str(index):
+            found = f"row {index + 1} is not that of frame {index}"
+            raise ConfigError(f"{self._table}: {found}, expected one row per video frame, with frames numbered from 0")
+        return row
 
 
 def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:

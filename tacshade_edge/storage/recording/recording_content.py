@@ -47,10 +47,8 @@ class _Clocks(msgspec.Struct):
 
 
 def content_of(recording: Path) -> dict[str, bytes]:
-    """The calibration, settings, events and ``recording.json`` by name, as far as they exist.
-
-    The log reports damaged or too large attachments of an MCAP file, which are left out. Raises ConfigError if an MCAP
-    file is not MCAP, or a file is too large.
+    """The calibration, settings, events and ``recording.json`` by name, as far as they exist. The log reports
+    attachments of an MCAP file that are damaged or too large. Raises ConfigError if another file is.
     """
     if not recording.is_dir() and is_mcap(recording):
         require_mcap()
@@ -74,14 +72,14 @@ def events_in(content: dict[str, bytes]) -> Iterator[Event]:
 
 def wall_minus_t_ns(folder: Path) -> int:
     """Unix time minus the frames' clock in ns; 0 if the recording does not state it."""
-    if clocks := _known(_read(folder / ABOUT_NAME) or b"", _Clocks):
-        return clocks.first_wall_ns - clocks.first_t_ns
+    about = _known(_read(folder / ABOUT_NAME) or b"", _Clocks)
     lines = _read(part(folder / EVENTS_NAME)) or _read(folder / EVENTS_NAME) or b""
-    for event in events_in({EVENTS_NAME: lines}):
-        clocks = _known({"first_wall_ns": event.data.get("wall_ns"), "first_t_ns": event.t_ns}, _Clocks)
-        if clocks is not None:
-            return clocks.first_wall_ns - clocks.first_t_ns
-    return 0
+    begun = (
+        _known({"first_wall_ns": event.data.get("wall_ns"), "first_t_ns": event.t_ns}, _Clocks)
+        for event in events_in({EVENTS_NAME: lines})
+    )
+    clocks = about or next(filter(None, begun), None)
+    return 0 if clocks is None else clocks.first_wall_ns - clocks.first_t_ns
 
 
 def _known(given: bytes | dict[str, Any], kind: type[T]) -> T | None:

@@ -38,9 +38,8 @@ def press_record(press: PlacedPress) -> dict[str, Any]:
 def write_map(
     folder: Path, raster: Raster, details: Mapping[str, Any], more: Mapping[str, bytes] = MappingProxyType({})
 ) -> None:
-    """Write all files of a map, so that files beside a ``map.json`` are of one map, also after a kill.
-
-    `details` are additional keys of ``map.json``, `more` additional files. Raises DeviceError.
+    """Write all files of a map, so that files beside a ``map.json`` (with the additional keys `details`) are of one
+    map, also after a kill. Raises DeviceError.
     """
     levels, z0_mm, scale_mm = _levels(raster.z_mm)
     about = {

@@ -8,6 +8,7 @@ press, a copy of the damaged file is kept, and the session keeps every whole pre
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import mmap
 import os
@@ -47,8 +48,7 @@ _Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The content of ``session.json``; `crc32`, in the file only, is that of the other fields as compact JSON.
-
-    `sensor_id` is empty in version 1. The calibration is the one with which the session began.
+    `sensor_id` is empty in version 1; the calibration is the one with which the session began.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=64)]
@@ -90,9 +90,8 @@ class StitchFile:
 
     @classmethod
     def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
-        """Resume a session; return its file and its whole presses in order.
-
-        Raises DecodeError if ``session.json`` is damaged or of another version.
+        """Resume a session; return its file and its whole presses in order. Raises DecodeError if ``session.json`` is
+        unusable.
         """
         file = cls(folder, read_info(folder))
         path = folder / PRESSES
@@ -103,15 +102,14 @@ class StitchFile:
             found = list(_presses(data))
             file._end = sum(end - start for _, _, start, end in found)
             if lost := len(data) - file._end:
-                beside = _free_name(path)
-                _keep(path, beside)
+                names = (path.with_name(f"{path.name}.damaged-{k}") for k in itertools.count(1))
+                beside = next(name for name in names if not name.exists())
+                shutil.copyfile(path, beside)
+                sync(beside)
                 write_whole(path, b"".join(data[start:end] for _, _, start, end in found))
                 sync(folder)
-                _log.warning(
-                    "%s: %d bytes are damaged or incomplete; "
-                    "continuing with %d whole presses and keeping the old file as %s",
-                    *(path, lost, len(found), beside.name),
-                )
+                kept = f"continuing with {len(found)} whole presses and keeping the old file as {beside.name}"
+                _log.warning("%s: %d bytes are damaged or incomplete; %s", path, lost, kept)
         return file, [(points, pose) for points, pose, _, _ in found]
 
     @property
@@ -175,10 +173,7 @@ class StitchFile:
 
 
 def open_session(folder: Path, sensor_id: str) -> Path | None:
-    """Find the newest open session of a sensor below a folder; None without one.
-
-    Damaged sessions and those of other sensors are skipped, with a line in the log.
-    """
+    """The newest open session of a sensor below a folder; None without one. The log names damaged sessions."""
     found = []
     for path in sorted(folder.glob(f"*/{SESSION}")):
         try:
@@ -186,17 +181,8 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
         except DecodeError as error:
             _log.warning("skipping a session: %s", error)
             continue
-        if info.state != "open":
-            continue
-        if info.sensor_id in ("", sensor_id):
+        if info.state == "open" and info.sensor_id in ("", sensor_id):
             found.append((info.begun_wall_ns, path.parent))
-        else:
-            _log.info(
-                "%s: skipping an open session that belongs to sensor %s, not %s",
-                path.parent,
-                shown(info.sensor_id),
-                sensor_id,
-            )
     return max(found)[1] if found else None
 
 
@@ -227,36 +213,17 @@ def _json(info: SessionInfo) -> bytes:
     return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(info, crc32=_crc32(info)))) + b"\n"
 
 
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (beside := path.with_name(f"{path.name}.damaged-{number}")).exists():
-        number += 1
-    return beside
-
-
-def _keep(path: Path, beside: Path) -> None:
-    """Give a file a second name, or copy it if the file system has no links."""
-    try:
-        os.link(path, beside)
-    except OSError:
-        shutil.copyfile(path, beside)
-        sync(beside)
-
-
 def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int, int]]:
     """Every whole press with its first and end byte."""
     start = data.find(_MAGIC)
     while start >= 0:
-        end = start + _HEAD.size
-        if len(data) >= end:
+        body, press = start + _HEAD.size, None
+        if body <= len(data):
             _, size, crc32 = _HEAD.unpack_from(data, start)
-            end += size
-        press = None
-        if start + _HEAD.size <= end <= len(data):
-            press = _press(data, start + _HEAD.size, end, crc32)
+            press = _press(data, body, body + size, crc32) if body + size <= len(data) else None
         if press is not None:
-            yield (*press, start, end)
-        start = data.find(_MAGIC, end if press is not None else start + 1)
+            yield (*press, start, body + size)
+        start = data.find(_MAGIC, start + 1 if press is None else body + size)
 
 
 def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[PressPoints, Rigid] | None:
@@ -271,7 +238,5 @@ def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[P
     columns = np.frombuffer(body, "<f4", offset=8 * _POSE_VALUES).reshape(-1, _POINT_VALUES).astype(np.float32)
     if not (np.abs(pose) <= _MOST_MM).all() or not (np.abs(columns) <= _MOST_MM).all():
         return None
-    points_mm, normals, confidence = (
-        np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6])
-    )
-    return PressPoints(points_mm, normals, confidence), Rigid(pose[:9].reshape(3, 3), pose[9:])
+    parts = (np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6]))
+    return PressPoints(*parts), Rigid(pose[:9].reshape(3, 3), pose[9:])

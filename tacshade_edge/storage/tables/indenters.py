@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,7 +30,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "cone": ("angle_deg",),
     "mesh": ("file",),
 }
-"""The required keys of each shape."""
+"""The required keys of each shape, in the order of the arguments of its function in `core.calibration.indenters`."""
 
 
 class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -72,9 +73,8 @@ def read_indenters(path: Path) -> dict[str, Indenter | float]:
 
 
 def write_printables(folder: Path) -> list[Path]:
-    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv.
-
-    Raises ConfigError if one of the tables exists, as it may be a person's own, and DeviceError.
+    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv. Raises
+    ConfigError if one of the tables exists, as it may be a person's own, and DeviceError.
     """
     table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
     for path in (table, plan):
@@ -94,20 +94,13 @@ def write_printables(folder: Path) -> list[Path]:
 
 
 def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indenter | float:
-    match entry:
-        case IndenterEntry(shape="ball", radius_mm=float(radius_mm)):
-            return radius_mm
-        case IndenterEntry(shape="cylinder", radius_mm=float(radius_mm)):
-            return shapes.cylinder(name, radius_mm)
-        case IndenterEntry(shape="box", length_mm=float(length_mm), width_mm=float(width_mm)):
-            return shapes.box(name, length_mm, width_mm)
-        case IndenterEntry(shape="bar", radius_mm=float(radius_mm), length_mm=float(length_mm)):
-            return shapes.bar(name, radius_mm, length_mm)
-        case IndenterEntry(shape="cone", angle_deg=float(angle_deg)):
-            return shapes.cone(name, angle_deg)
-        case IndenterEntry(shape="mesh", file=str(file)):
-            return _mesh(named_file(path.parent, file), name, where)
-    raise AssertionError(entry)  # `read_indenters_file` checked each shape's keys
+    values = [getattr(entry, key) for key in REQUIRED[entry.shape]]
+    if entry.shape == "ball":
+        return float(values[0])
+    if entry.shape == "mesh":
+        return _mesh(named_file(path.parent, values[0]), name, where)
+    make: Callable[..., Indenter] = getattr(shapes, entry.shape)
+    return make(name, *values)
 
 
 def _mesh(path: Path, name: str, where: str) -> Indenter:

@@ -4,8 +4,6 @@ it and ``capture --labels`` writes it with its images.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +12,8 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.storage.images import png
-from tacshade_edge.storage.tables.tables import number, read_columns
+from tacshade_edge.storage.images import number_in, png
+from tacshade_edge.storage.tables.tables import csv_bytes, number, read_columns
 from tacshade_edge.types import QUANTITIES, U8
 
 
@@ -32,21 +30,19 @@ class LabelledImage:
 
 
 def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
-    """Read the table, whose images are in `folder`: columns in any order, an empty cell for an unknown quantity.
-
-    Raises ConfigError for a mistake (``FILE:LINE: column: found …, expected …``), no quantity, or no row at all.
+    """Read the table, whose images are in `folder`; an empty cell is an unknown quantity. Raises ConfigError for a
+    mistake, no quantity, or no row at all.
     """
-    table = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
-    if table.unknown:
+    rows, unknown = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
+    if unknown:
         expected = f"image, group and any of {', '.join(QUANTITIES)}"
-        raise ConfigError(f"{path}:1: {table.unknown[0]}: found an unknown column, expected {expected}")
+        raise ConfigError(f"{path}:1: {unknown[0]}: found an unknown column, expected {expected}")
     labelled = []
-    for where, cells in table.rows:
+    for where, cells in rows:
         if not (name := cells["image"]):
             raise ConfigError(f"{where}: image: found nothing, expected the name of a file in {folder}")
-        numbers = table.with_points(cells)
-        known = {column: number(where, column, numbers[column]) for column in QUANTITIES if numbers.get(column)}
-        labelled.append(LabelledImage(named_file(folder, name), known, where, cells.get("group", "")))
+        known = {column: number(where, column, cells[column]) for column in QUANTITIES if cells[column]}
+        labelled.append(LabelledImage(named_file(folder, name), known, where, cells["group"]))
     if not labelled:
         raise ConfigError(f"{path}: found no rows, expected one per image")
     if not any(row.known for row in labelled):
@@ -72,7 +68,7 @@ class LabelFolder:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._number = max((_number(one.name) for one in path.glob("label_*.png")), default=0)
+        self._number = max((number_in(one.name, "label") for one in path.glob("label_*.png")), default=0)
 
     @property
     def table(self) -> Path:
@@ -102,21 +98,12 @@ class LabelFolder:
     def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
         """Write the table, or delete it if it has no labels, then delete the images of removed rows."""
         columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
-        stream = io.StringIO(newline="")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(("image", *columns, "group"))
-        for row in rows:
-            cells = (f"{row.known[name]:.4f}" if name in row.known else "" for name in columns)
-            writer.writerow((row.image, *cells, row.group))
+        cells = [[f"{row.known[name]:.4f}" if name in row.known else "" for name in columns] for row in rows]
+        table = [(row.image, *known, row.group) for row, known in zip(rows, cells, strict=True)]
         with disk_errors(self._path):
             if columns:
-                write_whole(self.table, stream.getvalue().encode())
+                write_whole(self.table, csv_bytes(("image", *columns, "group"), table))
             else:
                 self.table.unlink(missing_ok=True)
             for row in removed:
                 (self._path / row.image).unlink(missing_ok=True)
-
-
-def _number(name: str) -> int:
-    digits = name.removeprefix("label_").removesuffix(".png")
-    return int(digits) if digits.isascii() and digits.isdecimal() else 0

@@ -7,18 +7,15 @@ from pathlib import Path
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import quoted
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.storage.tables.tables import number, read_rows
+from tacshade_edge.storage.tables.tables import number, read_columns
 
 HEADER = ("indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
-MORE = ("yaw_deg",)
-"""Optional columns; an empty cell means 0."""
 
 
 class PressedFile:
-    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``, with one row per touching object.
-
-    An indenter is ``ball``, or one of the simulator's objects, with an empty radius. Without a row or a file nothing
-    touches. Writers should replace the file whole (write a temporary file and rename it).
+    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``, a row per touching object:
+    ``ball``, or one of the simulator's objects, with an empty radius. Without a row or a file nothing touches. Writers
+    should replace the file whole (write a temporary file and rename it).
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,22 +34,21 @@ class PressedFile:
         if found != self._read:
             self._read, self._presses = found, ()
             try:
-                self._presses = tuple(
-                    _press(where, row) for where, row in read_rows(self._path, HEADER, "presses", more=MORE)
-                )
+                rows, _ = read_columns(self._path, HEADER, ("yaw_deg",), "presses")
+                self._presses = tuple(_press(where, row) for where, row in rows)
             except (ConfigError, ValueError) as error:
                 raise DecodeError(str(error)) from None
         return self._presses
 
 
-def _press(where: str, row: list[str]) -> Press:
-    indenter, radius_text, depth_text, x_text, y_text, *more = row
-    texts = zip(HEADER[2:], (depth_text, x_text, y_text), strict=True)
-    depth_mm, x_mm, y_mm = (number(where, name, text) for name, text in texts)
-    yaw_deg = number(where, MORE[0], more[0]) if more and more[0] else 0.0
+def _press(where: str, row: dict[str, str]) -> Press:
+    indenter, radius_mm = row["indenter"], row["radius_mm"]
+    depth_mm, x_mm, y_mm, yaw_deg = (
+        number(where, key, row[key] or "0" * (key == "yaw_deg")) for key in ("depth_mm", "x_mm", "y_mm", "yaw_deg")
+    )
     if indenter == "ball":
-        shape = ball(number(where, "radius_mm", radius_text))
-    elif indenter in OBJECTS and not radius_text:
+        shape = ball(number(where, "radius_mm", radius_mm))
+    elif indenter in OBJECTS and not radius_mm:
         shape = OBJECTS[indenter]()
     else:
         raise ConfigError(

@@ -1,9 +1,10 @@
-"""PRESSES.csv: known presses, for ``tacshade-edge calibrate``."""
+"""PRESSES.csv: known presses, for ``tacshade-edge calibrate``; and presses as a person or a plan states them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from tacshade_edge.core.calibration.indenters import Indenter
@@ -12,8 +13,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import read_image
-from tacshade_edge.storage.tables.tables import number, read_columns
-from tacshade_edge.types import U8
+from tacshade_edge.storage.tables.tables import Rows, number, read_columns
 
 BALL = "ball"
 """The indenter without an entry in INDENTERS.yaml."""
@@ -25,12 +25,29 @@ MORE = ("yaw_deg", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
 _MOST_DEG = {"yaw_deg": 360.0, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0}
 
 
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """A press as a person states it: the columns of PRESSES.csv except the image, as text."""
+
+    columns: tuple[str, ...]
+
+    def row(self) -> dict[str, str]:
+        """The cells by column."""
+        return dict(zip_longest((*HEADER[1:], *MORE), self.columns, fillvalue=""))
+
+    def __str__(self) -> str:
+        indenter, radius_mm, depth_mm, x_mm, y_mm, *more = self.columns
+        size = f" of {radius_mm} mm" if radius_mm else ""
+        place = f" at x {x_mm}, y {y_mm} mm" if x_mm else ""
+        rest = "".join(f", {name} {text}" for name, text in zip(MORE, more, strict=False) if text)
+        return f"{indenter}{size}, {depth_mm} mm deep{place}{rest}"
+
+
 def read_presses(
     path: Path, indenters: Mapping[str, Indenter | float] | None = None
 ) -> tuple[list[KnownPress], tuple[str, ...]]:
     """Read the table and its images (relative to it), and notes on it for a person; `indenters` are INDENTERS.yaml's.
-
-    Raises ConfigError for a mistake (``FILE:LINE: column: found …, expected …``), or if an image is unreadable.
+    Raises ConfigError for all mistakes (``FILE:LINE: column: found …, expected …``).
     """
     rows, notes = press_rows(path)
     presses, mistakes = list[KnownPress](), list[str]()
@@ -44,39 +61,72 @@ def read_presses(
     return presses, notes
 
 
-def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:
-    """The rows, each ``FILE:LINE`` and its cells by column with decimal points, and notes for a person.
+def press_rows(path: Path) -> tuple[Rows, tuple[str, ...]]:
+    """The rows, and notes for a person. Raises ConfigError if the table is absent or not such a table."""
+    rows, unknown = read_columns(path, HEADER, MORE, "presses")
+    names = ", ".join(shown(name or "one without a name", 40) for name in unknown[:10])
+    return rows, (f"{path}: ignoring unknown columns: {names}",) if unknown else ()
 
-    Raises ConfigError if the table is absent or not such a table.
+
+def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:
+    """Read a plan of presses from a table like PRESSES.csv; its images are ignored. Raises ConfigError."""
+    rows, _ = press_rows(path)
+    if not rows:
+        raise ConfigError(f"{path}: found no press, expected at least one")
+    return tuple(stated(where, stated_columns(row), names, skin_radius_mm) for where, row in rows)
+
+
+def stated_columns(row: Mapping[str, str]) -> tuple[str, ...]:
+    """The cells of `Stated`, without the columns of `MORE` if all of those are empty."""
+    more = tuple(row[name] for name in MORE)
+    return (*(row[name] for name in HEADER[1:]), *(more if any(more) else ()))
+
+
+def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float) -> Stated:
+    """Check a press's ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none; `names`
+    are indenters in addition to the ball. Raises ConfigError.
     """
-    table = read_columns(path, HEADER, MORE, "presses")
-    notes: tuple[str, ...] = ()
-    if table.unknown:
-        names = ", ".join(shown(name or "one without a name", 40) for name in table.unknown[:10])
-        notes = (f"{path}: ignoring unknown columns: {names}",)
-    rows = [(where, table.with_points(row, ("image", "indenter"))) for where, row in table.rows]
-    return rows, notes
+    press = Stated(tuple(columns))
+    row, skin = press.row(), f"the skin's radius of {skin_radius_mm:g} mm"
+    values = _checked(where, row, names)
+    if row["indenter"] == BALL and not values["radius_mm"] > 0:
+        raise ConfigError(f"{where}: radius_mm: found {row['radius_mm']}, expected a number above 0")
+    if not 0 < values["depth_mm"] < skin_radius_mm:
+        raise ConfigError(f"{where}: depth_mm: found {row['depth_mm']}, expected a number above 0 and below {skin}")
+    if row["x_mm"] and not values["x_mm"] ** 2 + values["y_mm"] ** 2 < skin_radius_mm**2:
+        found = f"found {row['x_mm']}, {row['y_mm']} mm"
+        raise ConfigError(f"{where}: x_mm, y_mm: {found}, expected a place within {skin}")
+    return press
+
+
+def _checked(where: str, row: Mapping[str, str], names: Collection[str]) -> dict[str, float]:
+    """The numbers of a row's cells that are filled or must be. Raises ConfigError."""
+    name = row["indenter"]
+    if name != BALL and name not in names:
+        others = ", ".join(sorted(names)) or "none without --indenters"
+        raise ConfigError(
+            f"{where}: indenter: found {quoted(name)}, expected {BALL} or one of INDENTERS.yaml: {others}"
+        )
+    if name != BALL and row["radius_mm"]:
+        found = f"found {quoted(row['radius_mm'])}"
+        raise ConfigError(f"{where}: radius_mm: {found}, expected nothing, because INDENTERS.yaml states the radius")
+    if (row["x_mm"] == "") != (row["y_mm"] == ""):
+        raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
+    needed = ("depth_mm", *["radius_mm"] * (name == BALL))
+    filled = (column for column in ("x_mm", "y_mm", *MORE) if row[column])
+    values = {column: number(where, column, row[column]) for column in (*needed, *filled)}
+    for column, most in _MOST_DEG.items():
+        if abs(values.get(column, 0.0)) > most:
+            found = f"found {quoted(row[column])}"
+            raise ConfigError(f"{where}: {column}: {found}, expected a number from -{most:g} to {most:g}")
+    return values
 
 
 def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
-    name = row["indenter"]
-    if name != BALL and name not in indenters:
-        others = (
-            f" or an indenter from INDENTERS.yaml: {', '.join(indenters)}"
-            if indenters
-            else " (other indenters need --indenters)"
-        )
-        raise ConfigError(f"{where}: indenter: found {quoted(name)}, expected ball{others}")
-    indenter = None if name == BALL else indenters[name]
-    if indenter is not None and row["radius_mm"].strip():
-        raise ConfigError(
-            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, "
-            "expected nothing, because INDENTERS.yaml states the radius"
-        )
-    place = [row[column].strip() for column in ("x_mm", "y_mm")]
-    if (place[0] == "") != (place[1] == ""):
-        raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
-    if isinstance(indenter, Indenter) and not place[0]:
+    values = _checked(where, row, indenters)
+    indenter = indenters.get(row["indenter"], values.get("radius_mm", 0.0))
+    solid = indenter if isinstance(indenter, Indenter) else None
+    if solid and "x_mm" not in values:
         raise ConfigError(
             f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         )
@@ -84,22 +134,14 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
         image = read_image(named_file(path.parent, row["image"]))
     except DecodeError as error:
         raise ConfigError(f"{where}: image: {error}") from None
-    # x and y already give the indenter's place in the image; the drag does not matter but must be a number.
-    columns = ("depth_mm", *["radius_mm"] * (indenter is None), *["x_mm", "y_mm"] * bool(place[0]))
-    for column in (*columns, *(column for column in MORE if row.get(column, "").strip())):
-        value, most = number(where, column, row[column]), _MOST_DEG.get(column, math.inf)
-        if abs(value) > most:
-            raise ConfigError(
-                f"{where}: {column}: found {quoted(row[column])}, expected a number from -{most:g} to {most:g}"
-            )
-    return known_press(f"{where}: {row['image']}", image, row, indenters)
-
-
-def known_press(name: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
-    """The press in a row whose cells have been checked; `indenters` holds those in addition to the ball."""
-    indenter = indenters.get(row["indenter"])
-    x_mm, y_mm = (float(row[column]) if row[column].strip() else None for column in ("x_mm", "y_mm"))
-    ball_mm = float(row["radius_mm"]) if indenter is None else indenter if isinstance(indenter, float) else 0.0
-    solid = indenter if isinstance(indenter, Indenter) else None
-    angles = (float(row.get(column, "").strip() or 0) for column in MORE[:3])
-    return KnownPress(name, image, ball_mm, float(row["depth_mm"]), x_mm, y_mm, solid, *angles)
+    # x and y already give the indenter's place in the image, so the drag does not matter.
+    return KnownPress(
+        f"{where}: {row['image']}",
+        image,
+        0.0 if isinstance(indenter, Indenter) else indenter,
+        values["depth_mm"],
+        values.get("x_mm"),
+        values.get("y_mm"),
+        solid,
+        *(values.get(column, 0.0) for column in MORE[:3]),
+    )

@@ -22,7 +22,7 @@ IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
 PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000
 
 
-def record(folder: Path, *, finished: bool = True) -> Path:
+def record(folder: Path) -> Path:
     recorder = Recorder(folder)
     recorder.begin("sensor_id: left-index\n", painted_calibration())
     recorder.event(T_NS - 1, "start", {"state": "streaming", "wall_ns": WALL_NS - 1})
@@ -30,11 +30,7 @@ def record(folder: Path, *, finished: bool = True) -> Path:
         t_ns = T_NS + seq * PERIOD_NS
         pose = Pose(t_ns, 100.0 + seq, 2.5, -3.0, 1.0, 0.0, 0.0, 0.0)
         recorder.add(Frame(seq, t_ns, t_ns + WALL_NS - T_NS, image, pose, 412), png_of(image))
-    recorder.sync()
-    if finished:
-        recorder.finish({"first_t_ns": T_NS, "first_wall_ns": WALL_NS})
-    else:
-        recorder.close()
+    recorder.finish({"first_t_ns": T_NS, "first_wall_ns": WALL_NS})
     return folder
 
 
@@ -133,14 +129,6 @@ def test_mcap_opens_in_its_own_library_and_is_replayed_as_the_folder(
     assert export(Path(mcap), "csv", "--out", str(recording.with_name("again.csv"))) == 0
     assert export(recording, "csv") == 0
     assert recording.with_name("again.csv").read_bytes() == recording.with_name("rec.csv").read_bytes()
-
-
-def test_a_recording_that_was_cut_off_has_its_wall_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = record(tmp_path / "rec", finished=False)
-    assert export(recording, "csv") == 0
-    assert "was cut off" in capsys.readouterr().err
-    walls_ns = [int(row["wall_ns"]) for row in table(recording.with_name("rec.csv"))]
-    assert walls_ns == [WALL_NS + k * PERIOD_NS for k in range(5)]
 
 
 def test_an_unreadable_image_is_left_out_and_told(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.runs.run_files import HEIGHTS, payloads
+from tacshade_edge.storage.runs import HEIGHTS, payloads
 from tacshade_edge.storage.tables.frame_table import HEADER, read_table
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration

@@ -22,7 +22,7 @@ from support.recordings import write_recording
 from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, SUMMARY, payloads
+from tacshade_edge.storage.runs import CLOUDS, HEIGHTS, SUMMARY, payloads
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from tools.testbed.patience import patience, wait_until
@@ -87,18 +87,10 @@ def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[st
     lines = capsys.readouterr().out.splitlines()[1:]
     deep_mm = touched_depth_mm()
     assert lines[:2] == [said, "  contact: differs in 1 of 5 frames, first frame 2 (000002.png)"]
-    depth, height = (
-        re.fullmatch(rf"  {name}: mean ([0-9.]+), worst ([0-9.]+) mm apart in (.*)", line)
-        for name, line in zip(("depth_max_mm", "height_mm"), lines[2:], strict=True)
-    )
+    depth = re.fullmatch(r"  depth_max_mm: mean ([0-9.]+), worst ([0-9.]+) mm apart in frame 2 .*", lines[2])
     assert depth is not None
-    assert height is not None
     assert float(depth[1]) == pytest.approx(deep_mm / 5, abs=1e-3)
     assert float(depth[2]) == pytest.approx(deep_mm, abs=1e-3)
-    assert depth[3] == "frame 2 (000002.png)"
-    assert 0 < float(height[1]) < float(height[2])
-    assert float(height[2]) == pytest.approx(deep_mm, abs=1e-3)
-    assert re.fullmatch(r"frame 2 \(000002\.png\) at image row \d+, col \d+", height[3])
     assert main(["replay", "--out", second, "--against", first]) == 1
     assert capsys.readouterr().out.splitlines() == lines
 

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 from msgspec import Meta
-from support.calibrated_sensor import calibrated
 
 from tacshade_edge.core.calibration.inputs import Inputs, Sensor
 from tacshade_edge.core.touch.learning import learn
@@ -34,18 +33,15 @@ def assert_same(one: Any, other: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, bytes]:
+def content(tmp_path_factory: pytest.TempPathFactory) -> Content:
     path = tmp_path_factory.mktemp("calibration") / "cal.npz"
-    calibration = calibration_file.save(path, painted_calibration())
-    return path, calibration, path.read_bytes()
+    calibration_file.save(path, painted_calibration())
+    return npz.read(str(path), "calibration", "")
 
 
-@pytest.mark.slow
 def test_what_is_stored_comes_back(tmp_path: Path) -> None:
     for k, calibration in enumerate(
         (
-            calibrated(),
-            calibrated(count=0),
             replace(painted_calibration(), error_scales={"fast": 1.25, "balanced": 0.5}),
             replace(painted_calibration(), flange_T_sensor=(1.5, -2.0, 30.0, 0.6, 0.0, 0.8, 0.0)),
             replace(painted_calibration(), geometry=replace(painted_calibration().geometry, camera_distance_mm=None)),
@@ -80,65 +76,16 @@ def test_the_fit_is_stored_under_flat_keys(tmp_path: Path) -> None:
         assert calibration_file.load(path).crc32 == saved.crc32
 
 
-def test_the_checksum_is_of_the_content_alone(tmp_path: Path) -> None:
-    first = calibration_file.save(tmp_path / "a.npz", painted_calibration())
-    second = calibration_file.save(tmp_path / "b.npz", calibration_file.load(tmp_path / "a.npz"))
-    assert first.crc32 == second.crc32 == calibration_file.with_crc(painted_calibration()).crc32
-    other = replace(painted_calibration(), noise_grey=0.51)
-    assert calibration_file.with_crc(other).crc32 != first.crc32
-
-
-def refused_or_same(path: Path, original: Calibration) -> None:
-    """A damaged file is refused in one line, or the damage was in bytes that carry nothing."""
-    try:
-        loaded = calibration_file.load(path)
-    except ConfigError as error:
-        assert str(path) in str(error)  # noqa: PT017
-        assert "\n" not in str(error)  # noqa: PT017
-        return
-    assert_same(loaded, original)
-
-
-@pytest.mark.slow
-def test_every_flipped_byte_is_found(stored: tuple[Path, Calibration, bytes]) -> None:
-    path, calibration, content = stored
-    damaged = path.with_name("every.npz")
-    for at in range(len(content)):
-        damaged.write_bytes(content[:at] + bytes([content[at] ^ (0x01, 0x80, 0xFF)[at % 3]]) + content[at + 1 :])
-        refused_or_same(damaged, calibration)
-
-
 def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.npz").write_text("hello")
     np.savez(tmp_path / "other.npz", height_mm=np.zeros(3))
-    np.save(tmp_path / "array.npy", np.zeros(3))
     np.savez(tmp_path / "pickled.npz", meta=np.array([{"a": 1}], dtype=object))
-    for name in ("text.npz", "other.npz", "array.npy", "pickled.npz", "none.npz", "."):
+    for name in ("other.npz", "pickled.npz", "none.npz", "."):
         with pytest.raises(ConfigError) as refusal:
             calibration_file.load(tmp_path / name)
         assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("alpha", math.nan), ("noise_grey", math.inf), ("pitch_px", 0.0), ("factors", {"fast": 1e39})]
-)
-def test_numbers_that_no_sensor_has_are_refused(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{name} is .*, which no sensor has"):
-        replace(painted_calibration(), **{name: value})  # type: ignore[arg-type]
-
-
-def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = calibration_file.VERSION
-    monkeypatch.setattr(calibration_file, "VERSION", now + 1)
-    calibration_file.save(tmp_path / "new.npz", painted_calibration())
-    monkeypatch.undo()
-    with pytest.raises(
-        ConfigError, match=rf"new\.npz: found calibration version {now + 1}, expected {now}; calibrate again"
-    ):
-        calibration_file.load(tmp_path / "new.npz")
-
-
-@pytest.mark.parametrize("version", range(calibration_file.OLDEST, calibration_file.VERSION))
+@pytest.mark.parametrize("version", [calibration_file.OLDEST, calibration_file.VERSION - 1])
 def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:
@@ -159,14 +106,6 @@ def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     assert not caplog.messages
 
 
-def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"none/cal\.npz: cannot write the calibration: No such file"):
-        calibration_file.save(tmp_path / "none" / "cal.npz", painted_calibration())
-    (tmp_path / "file").touch()
-    with pytest.raises(DeviceError, match="cannot write"):
-        calibration_file.save(tmp_path / "file" / "cal.npz", painted_calibration())
-
-
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cal.npz"
     old = calibration_file.save(path, painted_calibration())
@@ -179,6 +118,8 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         calibration_file.save(path, replace(painted_calibration(), alpha=16.0))
     assert_same(calibration_file.load(path), old)
     assert os.listdir(tmp_path) == ["cal.npz"]
+    with pytest.raises(DeviceError, match=r"none/cal\.npz: cannot write the calibration: No such file"):
+        calibration_file.save(tmp_path / "none" / "cal.npz", old)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,27 +147,17 @@ def test_a_number_more_is_a_field_and_nothing_else(tmp_path: Path, monkeypatch: 
 _POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 _FIT = {"presses": 1.0, "agreement_mae_mm": 0.1, "position_mae_mm": 0.1}
 _WRONG: list[tuple[str, object]] = [
-    *(("polarity", value) for value in ("x", 1, None)),
-    *(("binarisation", value) for value in ("x", [])),
-    *((name, value) for name in ("skin_radius_mm", "pitch_px", "row_c") for value in ("20", None, True, [], math.nan)),
-    *((name, 1e-300) for name in ("skin_radius_mm", "radius_px", "visible_half_angle_deg")),
-    ("camera_distance_mm", "x"),
+    *(("polarity", value) for value in ("x", None)),
+    *(("skin_radius_mm", value) for value in ("20", None, True, [], math.nan, 1e-300)),
+    *((name, 1e-300) for name in ("radius_px", "visible_half_angle_deg")),
     *(("factors", value) for value in ([], None, {"fast": "1"}, {"fast": math.nan})),
-    *(("error_scales", value) for value in ([], None, {"fast": "1"}, {"fast": math.nan}, {"fast": 0.0}, {"fast": 1e9})),
-    *(("fit", value) for value in ([], {"presses": 1.0}, {**_FIT, "presses": "1"}, {**_FIT, "presses": math.nan})),
+    *(("error_scales", value) for value in ({"fast": 0.0}, {"fast": 1e9})),
+    *(("fit", value) for value in ([], {"presses": 1.0}, {**_FIT, "presses": math.inf})),
     ("fit", {**_FIT, "fast_depth_mae_mm": 0.1}),
-    ("fit", {**_FIT, "presses": math.inf}),
-    *(("flange_T_sensor", value) for value in ([], None, _POSE[:6], ["0"] * 7, [0.0] * 7, [1e300] * 7)),
-    ("flange_T_sensor", [math.nan, *_POSE[1:]]),
-    *((name, np.zeros(shape, np.uint8)) for name in ("reference_white",) for shape in ((), (3,), (0, 0), (2, 2, 3))),
-    ("reference_grey", np.zeros((7, 9), np.uint8)),
+    *(("flange_T_sensor", value) for value in (None, _POSE[:6], [0.0] * 7, [1e300] * 7, [math.nan, *_POSE[1:]])),
+    *(("reference_white", np.zeros(shape, np.uint8)) for shape in ((), (0, 0), (2, 2, 3))),
     ("reference_grey", np.zeros((480, 640), np.float32)),
 ]
-
-
-@pytest.fixture(scope="module")
-def content(stored: tuple[Path, Calibration, bytes]) -> Content:
-    return npz.read(str(stored[0]), "calibration", "")
 
 
 def written(path: Path, meta: dict[str, Any], arrays: dict[str, Any]) -> Path:
@@ -254,34 +185,17 @@ def test_nothing_may_be_missing(tmp_path: Path, content: Content) -> None:
     calibration_file.load(written(tmp_path / "whole.npz", dict(content.meta), dict(content.arrays)))
 
 
-def test_a_long_wrong_value_is_one_short_line(tmp_path: Path, content: Content) -> None:
-    for name in ("polarity", "version"):
-        path = written(tmp_path / "odd.npz", {**content.meta, name: "\x1b[31m" + "a" * 5000}, dict(content.arrays))
-        with pytest.raises(ConfigError, match="; calibrate again") as refusal:
-            calibration_file.load(path)
-        assert len(str(refusal.value)) < 500
-        assert str(refusal.value).isprintable()
-
-
-@pytest.mark.parametrize("version", ["../../x", "x\0", 6.5, True, None])
+@pytest.mark.parametrize("version", ["../../x\x1b[31m" + "a" * 5000, 6.5, True, calibration_file.VERSION + 1])
 def test_a_version_that_is_no_number_names_no_file(tmp_path: Path, version: object) -> None:
     inputs = Inputs(Sensor(20.0, 30.0, 50.0, "bright"), (FREE,))
     calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
     content = npz.read(str(tmp_path / "c.npz"), "", "")
     written(tmp_path / "c.npz", {**content.meta, "version": version}, dict(content.arrays))
-    with pytest.raises(ConfigError, match=r"calibration version .*, expected \d+; calibrate again"):
+    with pytest.raises(ConfigError, match=r"calibration version .*, expected \d+; calibrate again") as refusal:
         calibrations.load(tmp_path / "c.npz")
+    assert len(str(refusal.value)) < 500
+    assert str(refusal.value).isprintable()
     assert [path.name for path in tmp_path.iterdir()] == ["c.npz"]
-
-
-def test_what_it_was_made_of_needs_a_reference_that_is_an_image(tmp_path: Path) -> None:
-    inputs = Inputs(Sensor(20.0, 30.0, 50.0, "bright"), (FREE,))
-    calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
-    content = npz.read(str(tmp_path / "c.npz"), "", "")
-    arrays = {**content.arrays, "reference_grey": np.zeros(7, np.uint8)}
-    written(tmp_path / "c.npz", {**content.meta, "version": 3}, arrays)
-    with pytest.raises(ConfigError, match="expected an image in reference_grey; calibrate again"):
-        calibrations.load(tmp_path / "c.npz")
 
 
 FITTED = FittedNetwork(
@@ -316,18 +230,13 @@ def test_networks_and_models_come_back_and_count_in_the_checksum(tmp_path: Path,
     ("key", "damage", "message"),
     [
         ("fitted", {"correction": [0, 3, 3]}, "as many as"),
-        ("fitted", {"correction": [2, 3, 4]}, "as many as"),
         ("fitted", {"correction": [2, 3]}, "as many as"),
-        ("fitted", {"layout": 1}, "Expected"),
         ("fitted", {"more": 1}, "unknown field"),
         ("fitted", {"error_scale": 0.0}, "Expected"),
         ("touch", {"names": ["depth_mm", "colour"]}, "other quantities"),
         ("touch", {"names": ["depth_mm"]}, "expected"),
         ("touch", {"shapes": {}}, "other arrays"),
-        ("touch", {"shapes": None}, "Expected"),
         ("touch", {"width": 0.0}, "Expected"),
-        ("touch", {"leverage_max": math.nan}, "Expected"),
-        ("touch", {"scale": "large"}, "Expected"),
         ("touch", {"more": 1}, "unknown field"),
     ],
 )

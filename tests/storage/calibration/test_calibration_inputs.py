@@ -66,15 +66,12 @@ def test_what_is_packed_comes_back(inputs: Inputs) -> None:
             np.testing.assert_array_equal(press.indenter.triangles_mm, true.indenter.triangles_mm)
 
 
-def test_an_indenter_is_kept_once() -> None:
+def test_an_indenter_is_kept_once_and_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     packed = pack_inputs(INPUTS)
     assert packed is not None
     assert len(packed[1][TRIANGLES]) == 17
     found = read(*packed)
     assert found.presses[1].indenter is found.presses[3].indenter
-
-
-def test_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration_file, "INPUT_BYTES_MAX", 100)
     assert pack_inputs(INPUTS) is None
 
@@ -83,10 +80,8 @@ def test_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     "damage",
     [
         {"references": [10, 20]},
-        {"references": [-1, 1]},
         {"pressed": []},
         {"indenters": [{"name": "cube", "triangles": 12}]},
-        {"presses": "none"},
         {"sensor": {"skin_radius_mm": "wide"}},
         {"more": 1},
     ],
@@ -103,25 +98,10 @@ def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
     assert packed is not None
     with pytest.raises(ValueError, match="expected a grey PNG image of 17x12 px"):
         read(*packed, (12, 17))
-    wide = packed[1][IMAGES].copy()
-    wide[16:20] = (0, 1, 0, 0)
-    with pytest.raises(ValueError, match="expected a grey PNG"):
-        read(packed[0], {**packed[1], IMAGES: wide})
     blank = packed[1][IMAGES].copy()
     blank[40:] = 0
     with pytest.raises(ValueError, match="expected a grey PNG"):
         read(packed[0], {**packed[1], IMAGES: blank})
-
-
-@pytest.mark.parametrize("name", [IMAGES, TRIANGLES])
-@pytest.mark.parametrize(
-    "array", [np.zeros(()), np.zeros(3), np.zeros((17, 3, 3), np.float32), np.full((17, 3, 3), np.nan)]
-)
-def test_other_arrays_are_refused(name: str, array: np.ndarray) -> None:
-    packed = pack_inputs(INPUTS)
-    assert packed is not None
-    with pytest.raises(ValueError, match="expected"):
-        read(packed[0], {**packed[1], name: array})
 
 
 CALIBRATED = painted_calibration()
@@ -147,26 +127,15 @@ def test_what_is_stored_comes_back_and_nothing_where_nothing_is(path: Path) -> N
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-def test_that_of_another_calibration_has_its_own_code(path: Path) -> None:
+def test_it_belongs_to_a_calibration_of_the_same_images(path: Path) -> None:
     reference_file.save(path, CALIBRATED, TAKEN)
     with pytest.raises(ConfigError, match=f"{path}: the stored reference belongs to another calibration") as caught:
         reference_file.load(path, with_crc(replace(CALIBRATED, reference_grey=CALIBRATED.reference_grey // 2)))
     assert caught.value.code is ReasonCode.CALIBRATION_CHANGED
-
-
-def test_it_stays_when_a_calibration_is_made_again_on_the_same_images(path: Path) -> None:
-    reference_file.save(path, CALIBRATED, TAKEN)
-    again = with_crc(replace(CALIBRATED, alpha=16.0, factors={"fast": 1.1}))
-    stored = reference_file.load(path, again)
+    stored = reference_file.load(path, with_crc(replace(CALIBRATED, alpha=16.0, factors={"fast": 1.1})))
     assert stored is not None
     assert stored.calibration.factors == {"fast": 1.1}
     np.testing.assert_array_equal(stored.calibration.reference_grey, TAKEN.calibration.reference_grey)
-
-
-def test_a_calibration_is_no_reference(path: Path) -> None:
-    calibration_file.save(path, CALIBRATED)
-    with pytest.raises(ConfigError, match="not a version 2 reference file"):
-        reference_file.load(path, CALIBRATED)
 
 
 META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise_grey": 0.5}
@@ -176,11 +145,8 @@ META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise
     ("meta", "arrays"),
     [
         ({**META, "version": 1}, ARRAYS),
-        ({**META, "noise_grey": None}, ARRAYS),
-        ({**META, "noise_grey": -1.0}, ARRAYS),
         ({**META, "noise_grey": float("nan")}, ARRAYS),
         ({**META, "wall_ns": "now"}, ARRAYS),
-        ({}, ARRAYS),
         (META, {}),
         (META, {**ARRAYS, "more": np.zeros(3)}),
         (META, {**ARRAYS, "reference_grey": ARRAYS["reference_grey"][:-1]}),
@@ -197,17 +163,16 @@ def test_what_cannot_be_one_is_refused_in_one_line(
 
 
 def test_other_files_and_none_that_can_be_read(path: Path) -> None:
-    for content in (b"", b"hello", b"PK\x03\x04" * 9):
-        path.write_bytes(content)
-        with pytest.raises(ConfigError, match="reference"):
-            reference_file.load(path, CALIBRATED)
+    calibration_file.save(path, CALIBRATED)
+    with pytest.raises(ConfigError, match="not a version 2 reference file"):
+        reference_file.load(path, CALIBRATED)
+    path.write_bytes(b"PK\x03\x04" * 9)
+    with pytest.raises(ConfigError, match="reference"):
+        reference_file.load(path, CALIBRATED)
     path.unlink()
     path.mkdir()
     with pytest.raises(ConfigError, match="cannot read the stored reference"):
         reference_file.load(path, CALIBRATED)
-
-
-def test_a_folder_that_is_not_there_is_said(path: Path) -> None:
     with pytest.raises(DeviceError, match="cannot write it: No such file or directory") as caught:
         reference_file.save(path.parent / "gone" / path.name, CALIBRATED, TAKEN)
     assert caught.value.code is ReasonCode.DISK

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support.recordings import HEADER, write_recording
 
-from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.storage.recording.recording_content import content_of, events_in, wall_minus_t_ns
 from tacshade_edge.storage.tables.frame_table import read_table
@@ -39,7 +38,7 @@ def test_it_is_wound_forward_without_reading_what_lies_between(folder: Path) -> 
     (folder / "000000.png").write_bytes(b"no image")
     recording = Recording(folder)
     assert recording.length_ns == 20_000_000
-    recording.skip_to(500 + 5_000_000)
+    recording.skip_to(500 + 20_000_000, frames=1)
     assert [recorded.frame.seq for recorded in every(recording)] == [1, 2]
     recording.skip_to(0)
     assert recording.read() is None
@@ -94,9 +93,9 @@ def test_a_video_with_and_without_a_table(video: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("0,5,,,,,,,\n1,6,,,,,,,\n", "found 2 rows, expected one row per video frame"),
-        ("0,5,,,,,,,\n2,6,,,,,,,\n", "found frame '2' in row 2, expected one row per video frame"),
-        ("".join(f"{k},{k},,,,,,,\n" for k in range(4)), "found 4 rows, expected 3 rows, one per video frame"),
+        ("0,5,,,,,,,\n1,6,,,,,,,\n", "row 3 is not that of frame 2, expected one row per video frame"),
+        ("0,5,,,,,,,\n2,6,,,,,,,\n", "row 2 is not that of frame 1, expected one row per"),
+        ("".join(f"{k},{k},,,,,,,\n" for k in range(4)), "found 4 rows, expected 3, one per video frame"),
     ],
 )
 def test_a_table_that_is_not_the_videos(video: Path, rows: str, said: str) -> None:
@@ -105,24 +104,15 @@ def test_a_table_that_is_not_the_videos(video: Path, rows: str, said: str) -> No
         every(Recording(video))
 
 
-def test_an_image_that_cannot_be_read_leaves_a_gap(folder: Path) -> None:
-    (folder / "000001.png").write_bytes(b"no image")
-    recording = Recording(folder)
-    assert recording.read() is not None
-    with pytest.raises(DecodeError, match=r"000001\.png: found 8 bytes that are not an image"):
-        recording.read()
-    third = recording.read()
-    assert third is not None
-    assert (third.frame.seq, third.frame.t_ns) == (2, 20_000_500)
-    assert recording.read() is None
-
-
 def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(ConfigError, match="found nothing, expected a folder"):
         Recording(tmp_path / "none")
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="found no image"):
         Recording(tmp_path / "empty")
+    begun(tmp_path / "begun").close()
+    with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no rows"):
+        Recording(tmp_path / "begun")
     with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
         Recording(folder / "frames.csv")
     with pytest.raises(
@@ -141,7 +131,7 @@ def drawn(*shape: int) -> U8:
 
 
 def begun(folder: Path) -> Recorder:
-    recorder = Recorder(folder, free_floor_bytes=0)
+    recorder = Recorder(folder)
     recorder.begin("sensor_id: a\n", painted_calibration())
     return recorder
 
@@ -177,85 +167,48 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
     assert (folder / "settings.yaml").read_text() == "sensor_id: a\n"
 
 
-def test_a_recording_of_a_recording_is_the_same(tmp_path: Path) -> None:
-    first = begun(tmp_path / "a")
-    for k in range(3):
-        image = drawn(8, 8)
-        first.add(Frame(k, 1000 + 7 * k, 5, image, POSE if k == 1 else None), png_of(image))
-    first.finish({})
-    again, recording = begun(tmp_path / "b"), Recording(tmp_path / "a")
-    while (recorded := recording.read()) is not None:
-        again.add(recorded.frame, png_of(recorded.frame.image))
-    again.finish({})
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
-
-
-@pytest.mark.parametrize("lost", [0, 1, 12])
+@pytest.mark.parametrize("lost", [0, 12])
 def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
     recorder = begun(tmp_path / "rec")
-    for k in range(130):
+    for k in range(13):
         recorder.add(Frame(k, k, 0, drawn(8, 8)), png_of(drawn(8, 8)))
     recorder.close()
     table = tmp_path / "rec" / "frames.csv.part"
     table.write_bytes(table.read_bytes()[: -lost or None])
-    (tmp_path / "rec" / "000130.png.part").write_bytes(b"half")
+    (tmp_path / "rec" / "000013.png.part").write_bytes(b"half")
     recording = Recording(tmp_path / "rec")
     assert recording.cut_off
     read = 0
     while recording.read() is not None:
         read += 1
-    assert read == 130 - (lost > 0)
+    assert read == 13 - (lost > 0)
     assert len(read_table(table, cut_off=True)) == read
 
 
-def test_before_the_first_frame_there_is_nothing_to_replay(tmp_path: Path) -> None:
-    begun(tmp_path / "rec").close()
-    with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no rows"):
-        Recording(tmp_path / "rec")
-
-
-def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected at least \d+"):
-        Recorder(tmp_path / "rec", free_floor_bytes=2**62)
-    for recorder in (Recorder(tmp_path / "png"), McapRecorder(tmp_path / "mcap", "left")):
+def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorders = Recorder(tmp_path / "png"), McapRecorder(tmp_path / "mcap", "left")
+    for recorder in recorders:
         recorder.begin("sensor_id: a\n", painted_calibration())
-        recorder._floor = 2**62
+    monkeypatch.setattr("tacshade_edge.storage.atomic_files.FREE_FLOOR_BYTES", 2**62)
+    for recorder in recorders:
         assert not recorder.add(Frame(0, 0, 0, drawn(8, 8)), b"")
         assert recorder.frames == 0
         assert not [path for path in recorder.folder.iterdir() if path.name.startswith("000")]
         recorder.close()
+    with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected at least \d+"):
+        Recorder(tmp_path / "rec")
 
 
 def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
     (tmp_path / "used").mkdir()
     with pytest.raises(ConfigError, match=r"used: already exists, expected the name of a new folder"):
-        Recorder(tmp_path / "used", free_floor_bytes=0)
+        Recorder(tmp_path / "used")
     (tmp_path / "used" / "a").touch()
     with pytest.raises(DeviceError, match=r"a: cannot write it: (File exists|Not a directory)"):
-        Recorder(tmp_path / "used" / "a" / "rec", free_floor_bytes=0)
+        Recorder(tmp_path / "used" / "a" / "rec")
 
 
-def test_a_damaged_line_costs_its_frame_and_is_told(tmp_path: Path) -> None:
-    recorder = begun(tmp_path / "rec")
-    images = [drawn(8, 8) for _ in range(4)]
-    for k, image in enumerate(images):
-        recorder.add(Frame(k, 1000 + k, 0, image, POSE, 5), png_of(image))
-    recorder.finish({})
-    table = tmp_path / "rec" / "frames.csv"
-    assert Recording(tmp_path / "rec").damage == ""
-    table.write_bytes(table.read_bytes().replace(b"000001.png,1001", b"000002.png,1001"))
-    recording = Recording(tmp_path / "rec")
-    assert recording.damage.startswith(f"{table}:3: left out a damaged line")
-    for k in (0, 2, 3):
-        recorded = recording.read()
-        assert recorded is not None
-        assert (recorded.name, recorded.frame.t_ns) == (f"00000{k}.png", 1000 + k)
-        np.testing.assert_array_equal(recorded.frame.image, images[k])
-    assert recording.read() is None
-
-
-@pytest.mark.parametrize("number", ["Infinity", "NaN", "1e308", "1" + "0" * 400, "-5", "true", "null", '"7"', "[]"])
+@pytest.mark.parametrize("number", ["NaN", "1" + "0" * 400, "-5", "true", "[]"])
 def test_times_are_whole_numbers_within_bounds(tmp_path: Path, number: str) -> None:
     (tmp_path / "recording.json").write_text(f'{{"first_wall_ns": {number}, "first_t_ns": 5}}')
     assert wall_minus_t_ns(tmp_path) == 0
@@ -268,12 +221,9 @@ def test_times_are_whole_numbers_within_bounds(tmp_path: Path, number: str) -> N
     assert [event.data["wall_ns"] for event in events_in(content_of(tmp_path))][-1] == 105
 
 
-def test_a_line_that_is_too_long_is_no_event(tmp_path: Path) -> None:
+def test_what_is_too_large_is_refused(tmp_path: Path) -> None:
     lines = [json.dumps({"t_ns": 1, "kind": kind, "data": {}}) for kind in ("a", "b" * 70_000, "c")]
     assert [event.kind for event in events_in({"events.jsonl": "\n".join(lines).encode()})] == ["a", "c"]
-
-
-def test_what_is_too_large_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "events.jsonl").open("wb") as stream:
         stream.truncate((8 << 20) + 1)
     with pytest.raises(ConfigError, match=r"events\.jsonl: found more than 8388608 bytes"):

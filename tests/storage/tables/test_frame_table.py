@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import random
 import tracemalloc
 from pathlib import Path
 
@@ -8,74 +9,60 @@ import pytest
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.tables.frame_table import (
-    ERROR_COLUMN,
     HEADER,
     MORE,
     POSES_HEADER,
     Row,
+    line_crc32,
     read_poses,
     read_table,
     table_in,
 )
-from tacshade_edge.storage.tables.tables import line_crc32
 from tacshade_edge.types import Pose
+
+PLAIN, ERRORS, CHECKED = (",".join((*HEADER, *MORE[:count])) + "\n" for count in range(3))
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("text", "said"),
     [
         ("", r"frames\.csv: found no rows, expected one per frame"),
-        ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
-        (",1,,,,,,,\n", ":2: image: found nothing, expected a file name"),
-        ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
-        ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
-        ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
-        (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
-        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than the previous row's 5"),
-        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7 values, expected all or none"),
-        ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
-        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected length 1"),
+        ("image,t_ns\na.png,1\n", r"frames\.csv:1: found the header image,t_ns, expected image,t_ns,x_mm"),
+        (PLAIN + "a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
+        (PLAIN + ",1,,,,,,,\n", ":2: image: found nothing, expected a file name"),
+        (PLAIN + "a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number from 0 to"),
+        (PLAIN + f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
+        (PLAIN + "a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than the previous row's 5"),
+        (PLAIN + "a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7 values, expected all or none"),
+        (PLAIN + "a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
+        (PLAIN + "a.png,5,1e300,2,3,1,0,0,0\n", r":2: x_mm: found '1e300', expected a number from -1e\+06 to 1e\+06"),
+        (PLAIN + "a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected"),
+        (ERRORS + "a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
+        (ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
+        (ERRORS + "a.png,5,,,,,,,,3", "pose_error_us: found '3', expected a whole number .* in a row with a pose"),
+        (ERRORS + "\udcff.png,5,,,,,,,,\n", "not a CSV file: 'utf-8' codec can't decode byte 0xff"),
+        (PLAIN + '"a,5,,,,,,,\n', ":2: not a CSV file"),
+        (PLAIN + "a" * 10**6, ":2: found 1 columns"),
     ],
 )
-def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:
-    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\n" + row)
+def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError, match=said) as refusal:
         read_table(tmp_path / "frames.csv")
     assert "\n" not in str(refusal.value)
 
 
-ERRORS = ",".join((*HEADER, ERROR_COLUMN)) + "\n"
-
-
 def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: Path) -> None:
     table = tmp_path / "frames.csv"
-    table.write_text(ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32 - 1}\nb.png,6,1,2,3,1,0,0,0,\nc.png,7,,,,,,,,\n")
-    assert [(row.pose is None, row.pose_error_us) for row in read_table(table)] == [
-        (False, 2**32 - 1),
-        (False, 0),
-        (True, 0),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("row", "said"),
-    [
-        ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
-        ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
-        (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
-        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, because the row has no pose"),
-    ],
-)
-def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:
-    (tmp_path / "frames.csv").write_text(f"{ERRORS}{row}\n")
-    with pytest.raises(ConfigError, match=rf"frames\.csv:2: {said}"):
-        read_table(tmp_path / "frames.csv")
+    table.write_text(ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32 - 1}\nb.png,6,1,2,3,1,0,0,0,\n\nc.png,7,,,,,,,,\n")
+    found = [(row.pose is None, row.pose_error_us) for row in read_table(table)]
+    assert found == [(False, 2**32 - 1), (False, 0), (True, 0)]
 
 
 def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path: Path) -> None:
     assert table_in(tmp_path) is None
     partial, table = tmp_path / "frames.csv.part", tmp_path / "frames.csv"
-    partial.write_text(",".join(HEADER) + "\na.png,5,,,,,,,\nb.png,61,,,,,,")
+    partial.write_text(PLAIN + "a.png,5,,,,,,,\nb.png,61,,,,,,")
     assert table_in(tmp_path) == partial
     assert [row.image for row in read_table(partial, cut_off=True)] == ["a.png"]
     with pytest.raises(ConfigError, match="part:3: found 8 columns, expected 9"):
@@ -84,46 +71,36 @@ def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path
     assert table_in(tmp_path) == table
 
 
-def test_a_pose_that_no_robot_has_is_told(tmp_path: Path) -> None:
-    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\na.png,5,1e300,2,3,1,0,0,0\n")
-    with pytest.raises(ConfigError, match=r":2: x_mm: found '1e300', expected a number from -1e\+06 to 1e\+06"):
-        read_table(tmp_path / "frames.csv")
-
-
-@pytest.mark.slow
 def test_a_row_takes_150_bytes_of_memory(tmp_path: Path) -> None:
-    rows = "".join(f"frame_{i:06d}.png,{i},1,2,3,1,0,0,0,7\n" for i in range(20_000))
+    rows = "".join(f"frame_{i:06d}.png,{i},1.25,-12.123456,3.5,0.99999,0.0001,0.0001,0,7\n" for i in range(5_000))
     (tmp_path / "frames.csv").write_text(ERRORS + rows)
     tracemalloc.start()
     table = read_table(tmp_path / "frames.csv")
     kept, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert kept < 170 * len(table) == 170 * 20_000
+    assert kept < 170 * len(table) == 170 * 5_000
     assert most < kept + (1 << 20)
-    pose = Pose(19_999, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
-    assert table[-1] == table[19_999:][0] == Row("frame_019999.png", 19_999, pose, 7)
+    pose = Pose(4_999, 1.25, -12.123456, 3.5, 0.99999, 0.0001, 0.0001, 0.0)
+    assert table[-1] == table[4_999:][0] == Row("frame_004999.png", 4_999, pose, 7)
 
 
 def checked_table(rows: int) -> bytes:
     lines = [f"{i:06d}.png,{81_200_000_000 + i * 33_333_333},120.5,-3,{i}.25,1,0,0,0,412" for i in range(rows)]
-    header = ",".join((*HEADER, *MORE))
-    return "\n".join((header, *(f"{line},{line_crc32(line)}" for line in lines), "")).encode()
+    return (CHECKED + "".join(f"{line},{line_crc32(line)}\n" for line in lines)).encode()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, seed: int) -> None:
+def test_no_flipped_bit_goes_unnoticed(tmp_path: Path) -> None:
     """Rows before and after it are the ones that were written; those of the damaged line are left out and counted."""
-    good, path = checked_table(12), tmp_path / "frames.csv"
+    good, path, draw = checked_table(12), tmp_path / "frames.csv", random.Random(2)
     path.write_bytes(good)
     written = list(read_table(path))
     assert len(written) == 12
-    rng = np.random.default_rng(seed)
-    places = [*range(good.index(b"\n") + 1), *rng.integers(len(good), size=200)]
-    for at, bit in zip(places, rng.integers(8, size=len(places)), strict=True):
-        bad = bytearray(good)
-        bad[at] ^= 1 << bit
-        path.write_bytes(bad)
+    for at in (*draw.sample(range(len(good)), 300), len(good) - 1):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 1 << draw.randrange(8)]) + good[at + 1 :])
+        if at < len(CHECKED):
+            with pytest.raises(ConfigError, match=r"frames\.csv:1: "):
+                read_table(path)
+            continue
         table = read_table(path)
         assert set(table) <= set(written)
         if at < len(good) - 1:  # without the last line's end it is still that line
@@ -140,22 +117,15 @@ def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
     path.write_bytes(b"".join(lines))
     table = read_table(path)
     assert [row.image for row in table] == [f"{i:06d}.png" for i in (0, 2, 3, 5)]
-    assert table.damage == f"{path}:3: left out 2 damaged lines and their frames, because the checksum does not match"
-    lines[4] = lines[4].replace(b"120.5", b"x")
-    columns = lines[4].rpartition(b",")[0].decode()
+    assert table.damage.startswith(f"{path}:3: left out 2 damaged lines and their frames")
+    columns = lines[4].rpartition(b",")[0].replace(b"120.5", b"x").decode()
     lines[4] = f"{columns},{line_crc32(columns)}\n".encode()
     path.write_bytes(b"".join(lines))
     with pytest.raises(ConfigError, match=":5: x_mm: found 'x'"):
         read_table(path)
     path.write_bytes(lines[0] + lines[2])
-    with pytest.raises(ConfigError, match=r"found no rows, expected one per frame \(.*:2: left out a damaged line"):
+    with pytest.raises(ConfigError, match=r"found no rows, expected one per frame \(.*:2: left out 1 damaged"):
         read_table(path)
-
-
-def test_text_that_is_none_is_refused_without_checksums(tmp_path: Path) -> None:
-    (tmp_path / "frames.csv").write_bytes(ERRORS.encode() + b"\xff.png,5,,,,,,,,\n")
-    with pytest.raises(ConfigError, match="not a CSV file: 'utf-8' codec can't decode byte 0xff"):
-        read_table(tmp_path / "frames.csv")
 
 
 def poses_table(tmp_path: Path, *lines: str) -> Path:
@@ -176,20 +146,13 @@ def test_lines_become_poses(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("a.png,1,2,3,1,0,0", "found 7 columns, expected 8"),
-        ("a.png,1,2,x,1,0,0,0", "z_mm: found 'x', expected a number"),
-        ("a.png,1,2,nan,1,0,0,0", "z_mm: found 'nan'"),
-        ("a.png,1,2,3,0,0,0,0", "found a quaternion of length 0, expected length 1"),
-        ("a.png,1,2,3,1,1,0,0", "found a quaternion of length 1.414, expected length 1"),
-        (",1,2,3,1,0,0,0", "image: found nothing"),
+        ("a.png,1,2,3,1,0,0", ":2: found 7 columns, expected 8"),
+        ("a.png,1,2,nan,1,0,0,0", ":2: z_mm: found 'nan'"),
+        ("a.png,1,2,3,0,0,0,0", ":2: .*found a quaternion of length 0, expected length 1"),
+        (",1,2,3,1,0,0,0", ":2: image: found nothing"),
+        ("", "found no rows"),
     ],
 )
-def test_mistakes_name_the_line(tmp_path: Path, line: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=r"POSES\.csv:2") as error:
+def test_a_mistake_in_poses_names_the_line(tmp_path: Path, line: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=rf"POSES\.csv.*{message}"):
         read_poses(poses_table(tmp_path, line))
-    assert message in str(error.value)
-
-
-def test_an_empty_poses_table(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found no rows"):
-        read_poses(poses_table(tmp_path))

@@ -8,47 +8,21 @@ import pytest
 
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.tables.capture_folder import read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LabelFolder, read_labels
 from tacshade_edge.storage.tables.pressed_file import HEADER, PressedFile
-from tacshade_edge.storage.tables.tables import number, read_columns, read_rows
-
-
-def test_rows_know_their_line(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("a,b\n1,2\n\n3,4\n")
-    assert read_rows(path, ("a", "b"), "numbers") == [(f"{path}:2", ["1", "2"]), (f"{path}:4", ["3", "4"])]
+from tacshade_edge.storage.tables.presses import read_plan
+from tacshade_edge.storage.tables.tables import number, read_columns
 
 
 def test_a_number_is_finite() -> None:
     assert number("t.csv:2", "x_mm", "-1e-3") == -0.001
-    for text in (
-        "",
-        "nan",
-        "inf",
-        "1,5",
-        "x",
-        "1_0",
-        "0x10",
-        "\u0661\u0662",
-        "\uff11",
-        "\xbd",
-        "\u22122",
-        "1e400x",
-        "1'000",
-    ):
+    for text in ("", "nan", "inf", "1,5", "1_0", "0x10", "\u0661\u0662", "\uff11", "\u22122", "1e400x", "1'000"):
         with pytest.raises(ConfigError, match=r"^t\.csv:2: x_mm: found .*, expected a number$"):
             number("t.csv:2", "x_mm", text)
-
-
-def test_a_number_that_nothing_here_has_is_refused() -> None:
-    for text in ("1e300", "-1000001", "1e7"):
+    for text in ("1e300", "-1000001"):
         with pytest.raises(ConfigError, match=rf"^t\.csv:2: x_mm: found '{text}', expected a number from -1e\+06 to"):
             number("t.csv:2", "x_mm", text)
-
-
-def test_what_is_told_of_a_cell_is_one_short_line() -> None:
     with pytest.raises(ConfigError) as refusal:
         number("t.csv:2", "x_mm", "\x1b[2J\n" * 10_000)
     assert str(refusal.value).isprintable()
@@ -58,62 +32,47 @@ def test_what_is_told_of_a_cell_is_one_short_line() -> None:
 def test_a_table_has_a_most_of_rows(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("a,b\n" + "1,2\n" * 4)
-    assert len(read_rows(path, ("a", "b"), "numbers", rows_max=4)) == 4
+    assert len(read_columns(path, ("a", "b"), (), "numbers", rows_max=4)[0]) == 4
     with pytest.raises(ConfigError, match=r"t\.csv:5: found more than 3 rows, expected at most 3"):
-        read_rows(path, ("a", "b"), "numbers", rows_max=3)
+        read_columns(path, ("a", "b"), (), "numbers", rows_max=3)
 
 
-@pytest.mark.parametrize(
-    "row",
-    [
-        pytest.param("," * 10**6, id="columns"),
-        pytest.param('"' + "x" * 10**6, id="a cell"),
-        pytest.param('"\n",' * 10**6, id="lines of one row"),
-        pytest.param('"' + "\n" * 10**6, id="a cell of lines"),
-    ],
-)
+@pytest.mark.parametrize("row", ["," * 10**6, '"' + "x" * 10**6, '"\n",' * 10**6, '"' + "\n" * 10**6])
 def test_a_row_without_end_takes_no_memory(tmp_path: Path, row: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(f"a,b\n1,2\n{row}")
     tracemalloc.start()
-    for read in (
-        lambda: read_rows(path, ("a", "b"), "numbers"),
-        lambda: read_columns(path, ("a", "b"), (), "numbers"),
-    ):
-        with pytest.raises(ConfigError, match=r"t\.csv:\d+: not a CSV file: "):
-            read()
+    with pytest.raises(ConfigError, match=r"t\.csv:\d+: not a CSV file: "):
+        read_columns(path, ("a", "b"), (), "numbers")
     assert tracemalloc.get_traced_memory()[1] < 16 << 20
     tracemalloc.stop()
 
 
 def test_only_a_regular_file_is_a_table(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "t.csv")
-    with pytest.raises(ConfigError, match=r"t\.csv: found no regular file, expected a CSV file of numbers"):
-        read_rows(tmp_path / "t.csv", ("a", "b"), "numbers")
+    for path, found in ((tmp_path / "t.csv", "found no regular file"), (tmp_path / "none.csv", "No such file")):
+        with pytest.raises(ConfigError, match=rf"\.csv: {found}.*, expected a CSV file of numbers"):
+            read_columns(path, ("a", "b"), (), "numbers")
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "a, b\n1.5, two\n",
-        "a ,b \n 1.5 ,two \n",
-        '"a", "b"\n"1.5", "two"\n',
-        "sep=;\na;b\n1,5;two\n",
-        '"sep=;"\r\na;b\r\n1,5;two\r\n',
-        "sep=,\na,b\n1.5,two\n",
-        "\ufeffsep=;\na;b\n1,5;two\n",
-        "a,b\n1.5,two,\n",
-        "a,b,,\n1.5,two\n",
-        "a;b;;\n1,5;two;;;\n;;\n",
+        "image ,b \n two , 1.5\n",
+        '"image", "b"\n"two", "1.5"\n',
+        "sep=;\nimage;b\ntwo;1,5\n",
+        '"sep=;"\r\nimage;b\r\ntwo;1,5\r\n',
+        "\ufeffsep=;\nimage;b\ntwo;1,5\n",
+        "image,b\ntwo,1.5,\n",
+        "image;b;;\ntwo;1,5;;;\n;;\n",
     ],
 )
 def test_a_table_as_spreadsheets_and_people_write_it(tmp_path: Path, text: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text, encoding="utf-8", newline="")
-    table = read_columns(path, ("a", "b"), (), "numbers")
-    ((where, row),) = [(where, table.with_points(row, ("b",))) for where, row in table.rows]
-    assert (row, table.unknown) == ({"a": "1.5", "b": "two"}, ())
-    assert where == f"{path}:{3 if 'sep' in text else 2}"
+    found = read_columns(path, ("image", "b"), ("c",), "numbers")
+    line = 3 if "sep" in text else 2
+    assert found == ([(f"{path}:{line}", {"image": "two", "b": "1.5", "c": ""})], ())
 
 
 LABELS_HEADER = "image,depth_mm,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\n"
@@ -141,14 +100,11 @@ def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"labels.csv:1: found no header, expected image"),
         ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
         ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected at least one of depth_mm"),
         (LABELS_HEADER, "found no rows, expected one per image"),
         (LABELS_HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
-        (LABELS_HEADER + "a.png,nan,,,,\n", r"labels.csv:2: depth_mm: found 'nan', expected a number"),
         (LABELS_HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),
-        (LABELS_HEADER + "a.png,1\n", r"labels.csv:2: found 2 columns, expected 6"),
     ],
 )
 def test_a_mistake_is_told_with_its_place(tmp_path: Path, text: str, message: str) -> None:
@@ -187,15 +143,10 @@ def test_it_is_what_the_file_says_now(tmp_path: Path) -> None:
     assert (first.shape.name, first.depth_mm, first.x_mm, first.y_mm) == ("ball", 2.5, 1.0, -3.0)
     assert second.shape.name == "cube"
     assert script.at(2) == (first, second)
+    path.write_text("indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n")
+    assert [press.rotation_deg for press in PressedFile(path).at(0)] == [30, 0]
     replace(path)
     assert script.at(3) == ()
-
-
-def test_an_object_may_be_turned(tmp_path: Path) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text("indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n")
-    cube, ball = PressedFile(path).at(0)
-    assert (cube.rotation_deg, ball.rotation_deg) == (30, 0)
 
 
 @pytest.mark.parametrize("row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"])
@@ -247,12 +198,7 @@ def test_every_shape(tmp_path: Path) -> None:
         ("a: ball\n", ":1: a: found ball, expected a mapping"),
         ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
         ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),
-        ("a:\n  radius_mm: 3\n", "a.shape: found nothing, expected one of ball"),
-        ("a: {shape: cylinder}\n", ":1: a.radius_mm: found nothing, expected a value for shape cylinder"),
         ("a: {shape: box, length_mm: 3}\n", ":1: a.width_mm: found nothing, expected a value for shape box"),
-        ("a: {shape: bar, radius_mm: 3}\n", ":1: a.length_mm: found nothing, expected a value for shape bar"),
-        ("a: {shape: cone, radius_mm: 3}\n", ":1: a.angle_deg: found nothing, expected a value for shape cone"),
-        ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected a value for shape mesh"),
         ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
         ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
         (

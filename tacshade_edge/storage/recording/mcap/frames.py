@@ -22,7 +22,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import ros_image
 from tacshade_edge.protocol.ros_image import PixelRows
 from tacshade_edge.quoting import quoted, shown
-from tacshade_edge.storage.recording.mcap.reader import Damage, McapFile
+from tacshade_edge.storage.recording.mcap.reader import McapFile
 from tacshade_edge.storage.tables.frame_table import ERROR_US_MAX, T_NS_MAX, UNIT_TOLERANCE, Row
 from tacshade_edge.storage.tables.tables import NUMBER_MAX
 from tacshade_edge.types import U8, Pose
@@ -57,16 +57,14 @@ class FrameAbout(msgspec.Struct, frozen=True, kw_only=True):
     pose_error_us: Annotated[int, Meta(ge=0, le=ERROR_US_MAX)] | None = None
 
 
-_Found = tuple[Path, str, str, Message, FrameAbout | str | None]
-"""A message of an image: its path, schema and encoding, and the content of our `FRAME` message before it."""
+_Image = tuple[str, str, Message, FrameAbout | str | None]
+"""A message of an image: its schema and encoding, and the content of our `FRAME` message before it."""
 
 
 class McapFrames:
-    """The images of a recording, whose files are in order; leaves out those that are not MCAP, if others are.
-
-    `cut_off`: the writer did not end it; its whole records are included. `damage` outside the frames is for a person,
-    empty without any. `length_ns` is from the first to the last message on any topic, 0 if a file does not state it.
-    Raises ConfigError if it does not have exactly one readable topic of images.
+    """The images of a recording, whose files are in order; leaves out those that are not MCAP, if others are. `damage`
+    is of everything but frames, for a person. `length_ns` is from the first to the last message on any topic, 0 if a
+    file does not state it. Raises ConfigError if it does not have exactly one readable topic of images.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -95,85 +93,75 @@ class McapFrames:
         """Every frame's row, its picture, which raises DecodeError if it is unusable, and its message's time in ns."""
         last_ns = -1
         self._unusable = 0
-        for count, found in enumerate(self._messages()):
-            if self._unusable > _UNUSABLE_MAX:
-                unusable = f"found {self._unusable} unusable messages; skipping all later messages"
-                error = DecodeError(f"{shown(self.topic)}: {unusable}")
-                yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
-                return
-            if isinstance(found, Damage):
-                yield Row(str(count), max(last_ns, 0), None), self._refusal(found.error), 0
-                continue
-            path, schema, encoding, message, about = found
-            where = f"{shown(path)}: message {count} of {shown(self.topic)}"
+        images = ((path, found) for path in self._paths for found in self._images_in(path))
+        for count, (path, found) in enumerate(images):
+            where, too_many = "", self._unusable > _UNUSABLE_MAX
             try:
+                if too_many:
+                    unusable = f"found {self._unusable} unusable messages; skipping all later messages"
+                    raise DecodeError(f"{shown(self.topic)}: {unusable}")
+                if isinstance(found, DecodeError):
+                    raise found
+                where = f"{shown(path)}: message {count} of {shown(self.topic)}: "
+                schema, encoding, message, about = found
                 row = self._row(count, message, about)
                 if row.t_ns <= last_ns:
-                    raise DecodeError(
-                        f"found the time {row.t_ns} ns, expected a time after the previous frame's, {last_ns} ns"
-                    )
+                    expected = f"expected a time after the previous frame's, {last_ns} ns"
+                    raise DecodeError(f"found the time {row.t_ns} ns, {expected}")
             except DecodeError as error:
-                yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
+                yield Row(str(count), max(last_ns, 0), None), self._picture(where, error), 0
+                if too_many:
+                    return
                 continue
             last_ns = row.t_ns
-            yield row, self._picture(where, schema, encoding, message.data), message.log_time
+            yield row, self._picture(where, (schema, encoding, message.data)), message.log_time
 
-    def _picture(self, where: str, schema: str, encoding: str, payload: bytes) -> Picture:
+    def _picture(self, where: str, content: tuple[str, str, bytes] | DecodeError) -> Picture:
         def picture() -> U8:
             try:
-                return image_of(schema, encoding, payload)
+                if isinstance(content, DecodeError):
+                    raise content
+                return image_of(*content)
             except DecodeError as error:
                 self._unusable += 1
-                raise DecodeError(f"{where}: {error}") from None
+                raise DecodeError(f"{where}{error}") from None
 
         return picture
 
-    def _refusal(self, error: DecodeError) -> Picture:
-        def picture() -> U8:
-            self._unusable += 1
-            raise error
-
-        return picture
-
-    def _messages(self) -> Iterator[_Found | Damage]:
-        """The image messages, each with path, schema, encoding and the content of our `FRAME` message before it."""
-        for path in self._paths:
-            with contextlib.closing(McapFile(path)) as file:
-                yield from self._messages_in(path, file)
-
-    def _messages_in(self, path: Path, file: McapFile) -> Iterator[_Found | Damage]:
-        # The first of each id counts, because our writer repeats them and all copies are equal.
-        schemas = dict(file.summary.schemas) if file.summary else {}
-        channels = dict(file.summary.channels) if file.summary else {}
-        about: FrameAbout | str | None = None
-        images = damaged = unknown = 0
-        for record in file.records():
-            match record:
-                case Schema():
-                    schemas.setdefault(record.id, record)
-                case Channel():
-                    channels.setdefault(record.id, record)
-                case Damage():
-                    damaged += 1
-                    yield record
-                case Message():
-                    channel = channels.get(record.channel_id)
-                    if channel is None:
-                        unknown += 1
-                    elif channel.metadata.get(OURS) == FRAME:
-                        about = _about(record.data)
-                    elif channel.topic == self.topic:
-                        images += 1
-                        schema = schemas.get(channel.schema_id)
-                        yield path, schema.name if schema else "", channel.message_encoding, record, about
-        if unknown:
-            found = f"{unknown} messages on channels that the file does not describe"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping these messages"))
-        counts = file.summary.counts if file.summary else {}
-        expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
-        if expected - images > damaged:
-            found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}; the missing messages are lost"))
+    def _images_in(self, path: Path) -> Iterator[_Image | DecodeError]:
+        with contextlib.closing(McapFile(path)) as file:
+            # The first of each id counts, because our writer repeats them and all copies are equal.
+            schemas = dict(file.summary.schemas) if file.summary else {}
+            channels = dict(file.summary.channels) if file.summary else {}
+            about: FrameAbout | str | None = None
+            images = damaged = unknown = 0
+            for record in file.records():
+                match record:
+                    case Schema():
+                        schemas.setdefault(record.id, record)
+                    case Channel():
+                        channels.setdefault(record.id, record)
+                    case DecodeError():
+                        damaged += 1
+                        yield record
+                    case Message():
+                        channel = channels.get(record.channel_id)
+                        if channel is None:
+                            unknown += 1
+                        elif channel.metadata.get(OURS) == FRAME:
+                            about = _about(record.data)
+                        elif channel.topic == self.topic:
+                            images += 1
+                            schema = schemas.get(channel.schema_id)
+                            yield schema.name if schema else "", channel.message_encoding, record, about
+            if unknown:
+                found = f"{unknown} messages on channels that the file does not describe"
+                yield DecodeError(f"{shown(path)}: found {found}; skipping these messages")
+            counts = file.summary.counts if file.summary else {}
+            expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
+            if expected - images > damaged:
+                found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
+                yield DecodeError(f"{shown(path)}: found {found}; the missing messages are lost")
 
     def _row(self, count: int, message: Message, about: FrameAbout | str | None) -> Row:
         """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
@@ -205,32 +193,24 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     for path in paths:
         with contextlib.closing(McapFile(path)) as file:
             schemas: dict[int, Schema] = {}
-            is_described = False
-            for record in _described(file):
-                is_described |= isinstance(record, Channel)
+            described = (*file.summary.schemas.values(), *file.summary.channels.values()) if file.summary else ()
+            for record in described or file.records():
                 if isinstance(record, Schema):
                     schemas[record.id] = record
-                elif isinstance(record, Damage):
-                    damage = damage or f"; {record.error}"
+                elif isinstance(record, DecodeError):
+                    damage = damage or f"; {record}"
                 elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
                     return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
                     topics |= {record.topic} if (found.name, record.message_encoding) in DECODERS else set()
-            if not is_described and file.summary is None:
-                damage = damage or f"; {shown(path)} ends before its first whole chunk, so nothing in it can be read"
+            if file.cut_off:
+                damage = damage or f"; {shown(path)} was cut off"
     if len(topics) == 1:
         return topics.pop(), False
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
     count = f"{len(topics)} image topics ({named})" if topics else "no image topics"
     expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
     raise ConfigError(f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}")
-
-
-def _described(file: McapFile) -> Iterator[Schema | Channel | Message | Damage]:
-    """The schemas and channels from the summary, or all records of a file without one."""
-    if file.summary is not None and file.summary.channels:
-        return iter((*file.summary.schemas.values(), *file.summary.channels.values()))
-    return file.records()
 
 
 def _about(payload: bytes) -> FrameAbout | str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, BinaryIO, Final, Literal
 
 import msgspec
@@ -30,6 +31,7 @@ from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
+from tacshade_edge.protocol.topics import Contact
 from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS, FrameAbout
 from tacshade_edge.types import F32, Frame, ObjectCloud
 from tacshade_edge.version import installed_version
@@ -37,25 +39,19 @@ from tacshade_edge.version import installed_version
 CHUNK_BYTES: Final = 1 << 20
 _MEDIA_TYPES: Final = {"yaml": "application/yaml", "json": "application/json", "jsonl": "application/jsonl"}
 _NUMBER: Final = {"type": "number"}
-_CONTACT_KEYS: Final = (
-    *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
-    *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s"),
-)
+_TEXT: Final = {"type": "string"}
 # Any value may be null, which the viewers' JSON Schema cannot express.
 _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
-    FRAME: dict.fromkeys(FrameAbout.__struct_fields__, _NUMBER) | {"image": {"type": "string"}},
-    "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
-    | {key: {"type": "string"} for key in ("reason_code", "degraded_code")},
+    FRAME: dict.fromkeys(FrameAbout.__struct_fields__, _NUMBER) | {"image": _TEXT},
+    "contact": {field.name: _TEXT if field.name.endswith("_code") else _NUMBER for field in fields(Contact)},
     "touch": TOUCH_SCHEMA["properties"],
     "objects": dict.fromkeys(("t_ns", "wall_ns", "seq"), _NUMBER) | {"fingers": {"type": "object"}},
 }
 
 
 class McapWriter:
-    """Writes one MCAP file to a buffered stream, with topics ``/tacshade/ID/NAME``.
-
-    The log time and publish time of each message are both the capture's Unix time. Schemas and channels are repeated
-    after each chunk, so that a damaged chunk loses only its own messages.
+    """Writes one MCAP file to a buffered stream, with topics ``/tacshade/ID/NAME``; all times are the capture's Unix
+    time. Schemas and channels are repeated after each chunk, so that a damaged chunk loses only its own messages.
     """
 
     def __init__(
@@ -179,7 +175,7 @@ def cloud_message(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
     """The message of a cloud: points in m, each with the number of its object."""
     points = np.empty(len(touched.labels), _POINT)
     points["xyz"], points["object"] = touched.points_mm * np.float32(M_PER_MM), touched.labels
-    fields = [
+    described = [
         PackedElementField(name=axis, offset=4 * i, type=PackedElementField.FLOAT32) for i, axis in enumerate("xyz")
     ]
     message = PointCloud(
@@ -187,7 +183,7 @@ def cloud_message(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
         frame_id=_frame_id(sensor_id, "sensor"),
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         point_stride=_POINT.itemsize,
-        fields=[*fields, PackedElementField(name="object", offset=12, type=PackedElementField.UINT16)],
+        fields=[*described, PackedElementField(name="object", offset=12, type=PackedElementField.UINT16)],
         data=points.tobytes(),
     )
     return bytes(message.SerializeToString())

@@ -18,7 +18,6 @@ from mcap.writer import CompressionType, Writer
 from support.mcap_bytes import CHUNK, described, file_of, flipped, message, record_starts
 
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.recording.image_source import FilesSource, first_size_px
 from tacshade_edge.storage.recording.mcap import frames
 from tacshade_edge.storage.recording.mcap.writer import McapWriter, camera_message
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
@@ -62,66 +61,19 @@ def every(path: Path) -> tuple[list[RecordedFrame], list[str]]:
         frames.append(recorded)
 
 
-def test_ours_gives_back_times_poses_and_pixels(tmp_path: Path) -> None:
-    path = tmp_path / "rec.mcap"
-    path.write_bytes(ours(5))
-    frames, refused = every(path)
-    assert refused == []
-    for seq, recorded in enumerate(frames):
-        was, found = frame(seq), recorded.frame
-        assert (recorded.name, recorded.wall_ns) == (f"{seq:06d}.png", was.wall_ns)
-        assert (found.seq, found.t_ns, found.wall_ns) == (seq, was.t_ns, 0)
-        assert (found.pose, found.pose_error_us) == (was.pose, was.pose_error_us)
-        np.testing.assert_array_equal(found.image, was.image)
-    assert len(frames) == 5
-    assert not Recording(path).cut_off
-
-
-def test_it_tells_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
+def test_a_loop_goes_on_in_time_and_a_file_tells_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
     path.write_bytes(ours(5))
     assert Recording(path).length_ns == 4 * PERIOD_NS
-    path.write_bytes(ours(5)[:-20])
-    assert Recording(path).length_ns == 0
-
-
-def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
-    path = tmp_path / "rec.mcap"
-    path.write_bytes(ours(2))
     recording = Recording(path, times=2)
-    times = [recorded.frame.t_ns for _ in range(4) if (recorded := recording.read()) is not None]
-    assert np.diff(times).tolist() == [PERIOD_NS] * 3
+    times = [recorded.frame.t_ns for _ in range(10) if (recorded := recording.read()) is not None]
+    assert np.diff(times).tolist() == [PERIOD_NS] * 9
     with pytest.raises(ConfigError, match="contains the time stamps"):
         Recording(path, fps=30)
+    path.write_bytes(ours(5)[:-20])
+    assert (Recording(path).length_ns, Recording(path).cut_off) == (0, True)
 
 
-@pytest.mark.slow
-def test_a_cut_at_any_of_100_bytes_leaves_all_but_the_last_chunk(tmp_path: Path) -> None:
-    whole, frames = ours(40), 40
-    path = tmp_path / "rec.mcap.part"
-    draw = random.Random(7)
-    for at in (draw.randrange(len(whole) // 3, len(whole) - 8) for _ in range(100)):
-        path.write_bytes(whole[:at])
-        assert Recording(path).cut_off
-        found, refused = every(path)
-        assert refused == []
-        # A chunk holds 32 KiB, here 10 frames; the summary is behind all of them.
-        assert len(found) >= min(frames, frames * at // len(whole) - 11)
-
-
-def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
-    whole = bytearray(ours(40))
-    whole[len(whole) // 2] ^= 16
-    path = tmp_path / "rec.mcap"
-    path.write_bytes(whole)
-    frames, refused = every(path)
-    assert 25 <= len(frames) < 40
-    assert len(refused) == 2
-    assert "skipping the damaged" in refused[0]
-    assert f"found {len(frames)} messages on /tacshade/left/camera, expected 40, as in the file's index" in refused[1]
-
-
-@pytest.mark.slow
 def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> None:
     whole = ours(4, chunk_bytes=1 << 11)  # a picture ends a chunk
     good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
@@ -129,7 +81,7 @@ def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> No
     heads = [begin + byte for begin in record_starts(whole) for byte in range(9)]
     draw = random.Random(5)
     # All of a record's head, for every kind; some of the rest.
-    for at in (*draw.sample(heads, 120), *(draw.randrange(len(whole)) for _ in range(200))):
+    for at in (*draw.sample(heads, 60), *(draw.randrange(len(whole)) for _ in range(40))):
         path = _written(tmp_path, flipped(whole, at, draw.randrange(8)))
         frames, refused = every(path)
         for recorded in frames:
@@ -144,8 +96,8 @@ def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_pa
     whole = ours(5, chunk_bytes=1 << 11)
     chunks = [begin for begin in record_starts(whole) if whole[begin] == CHUNK]
     path = tmp_path / "rec.mcap.part"
-    for begin in chunks[:-1]:
-        for byte, bit in itertools.product((0, 1, 2, 3, 4, 5, 8), range(8)):
+    for begin in chunks[1:3]:
+        for byte, bit in itertools.product((0, 1, 4, 8), range(8)):
             path.write_bytes(flipped(whole, begin + byte, bit)[: chunks[-1] + 100])
             frames, refused = every(path)
             # The last chunk is torn, as in a recording that still goes on.
@@ -154,7 +106,7 @@ def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_pa
             assert "skipping the damaged" in refused[0]
 
 
-@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-2e6", "Infinity", "NaN", "true", "{}", "[]", "null"])
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "NaN", "{}"])
 @pytest.mark.parametrize("key", ["x_mm", "qw", "t_ns", "pose_error_us", "image"])
 def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, key: str, number: str) -> None:
     about = {"image": "1.png", "seq": 1, "t_ns": 90, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qw": 1.0}
@@ -194,32 +146,13 @@ def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path
     recording = Recording(tmp_path)
     assert "001.mcap.part: not an MCAP file; leaving its frames out" in recording.damage
     assert len(every(tmp_path)[0]) == 3
-
-
-def test_a_file_that_its_writer_ends_meanwhile_is_found(tmp_path: Path) -> None:
-    (tmp_path / "000.mcap").write_bytes(ours(3))
-    assert len(every(tmp_path / "000.mcap.part")[0]) == 3
+    assert len(every(tmp_path / "000.mcap.part")[0]) == 3  # its writer has ended it meanwhile
 
 
 def _written(folder: Path, content: bytes) -> Path:
     path = folder / "rec.mcap"
     path.write_bytes(content)
     return path
-
-
-def test_the_daemons_source_reads_it(tmp_path: Path) -> None:
-    path = tmp_path / "rec.mcap"
-    path.write_bytes(ours(2))
-    assert first_size_px(path) == (64, 48)
-    source = FilesSource(path=path, fps=1000, loop=False)
-    source.open()
-    first, second, end = source.read(), source.read(), source.read()
-    assert first is not None
-    assert second is not None
-    assert end is None
-    np.testing.assert_array_equal(first.image, picture(0))
-    assert second.pose is not None
-    assert second.pose.x_mm == frame(1).pose.x_mm  # type: ignore[union-attr]
 
 
 RGB = np.stack((picture(0), picture(1), picture(2)), axis=-1)
@@ -283,7 +216,7 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
     chunk = next(at for at in record_starts(whole) if whole[at] == CHUNK)
     for end in (9, chunk, chunk + 5, chunk + 100):  # cut before, at and in the first chunk
         path.write_bytes(whole[:end])
-        with pytest.raises(ConfigError, match=r"no image topics.* ends before its first whole chunk, so nothing in it"):
+        with pytest.raises(ConfigError, match=r"no image topics.*was cut off"):
             Recording(path)
     for content in (b"", b"\x89PNG\r\n\x1a\n"):
         path.write_bytes(content)

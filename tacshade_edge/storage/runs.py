@@ -1,8 +1,5 @@
-"""The files of a run, written frame by frame; docs/how-to/replay.md describes the format.
-
-``heights.bin`` and ``clouds.bin`` hold the wire payloads one after another (each header holds its length);
-``summary.json`` has a record for each frame and marks a complete run, because it is renamed last; only
-``timings.json`` depends on the clock.
+"""The files of a run of `replay`, and the comparison of two runs; docs/how-to/replay.md describes the format.
+``summary.json`` marks a complete run, because it is renamed last; only ``timings.json`` depends on the clock.
 """
 
 from __future__ import annotations
@@ -11,9 +8,12 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
@@ -28,12 +28,16 @@ HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears
 _ENCODERS = {HEIGHTS: wire.encode_height, CLOUDS: wire.encode_cloud, SHEARS: wire.encode_shear}
 _PAYLOAD_BYTES_AT = 84
 _SUMMARY_BYTES_MAX = 1 << 28
+_OF_OBJECT = (
+    *("label", "centroid_mm", "extent_mm", "depth_max_mm", "area_mm2", "normal", "shear_mm"),
+    *("twist_deg", "id", "slip", "slip_mm_s"),
+)
+_DIGITS = {"twist_deg": 3, "slip_mm_s": 3}
 
 
 class RunWriter:
-    """Writes one run; a folder has a complete run or none, and an earlier run in it is removed at once.
-
-    The methods raise DeviceError if the folder cannot be written.
+    """Writes one run; a folder has a complete run or none, and an earlier run in it is removed at once. Raises
+    DeviceError.
     """
 
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
@@ -60,7 +64,9 @@ class RunWriter:
                     result, calibration_crc32=self._crc32, pose=frame.pose, pose_error_us=frame.pose_error_us
                 )
                 self._streams[name].write(payload)
-        self._records.append(_record(recorded, result))
+        pose = frame.pose and [getattr(frame.pose, key) for key in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")]
+        about = {"image": recorded.name, "seq": result.seq, "t_ns": result.t_ns}
+        self._records.append({**about, **summary(result), "pose": pose})
 
     def finish(self, timings: Mapping[str, Any]) -> None:
         """Complete the run."""
@@ -88,17 +94,6 @@ class RunWriter:
                     path.unlink(missing_ok=True)
 
 
-def _record(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    pose = recorded.frame.pose
-    return {
-        "image": recorded.name,
-        "seq": result.seq,
-        "t_ns": result.t_ns,
-        **summary(result),
-        "pose": None if pose is None else [pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz],
-    }
-
-
 def read_summary(folder: Path) -> list[dict[str, Any]]:
     """The records of a run. Raises ConfigError without a complete run, and DecodeError if the summary is damaged."""
     path = folder / SUMMARY
@@ -118,9 +113,8 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
 
 
 def payloads(folder: Path, name: str) -> Iterator[bytes]:
-    """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order.
-
-    Raises ConfigError if the file is missing, and DecodeError if it is truncated or states an impossible length.
+    """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order. Raises ConfigError if the file is
+    missing, and DecodeError if it is truncated or states an impossible length.
     """
     path = folder / name
     try:
@@ -147,30 +141,83 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "contact": result.contact,
         "saturated": result.saturated,
         **reason_fields(result.degraded, "degraded"),
-        "depth_max_mm": round(result.depth_max_mm, 4),
-        "volume_mm3": round(result.volume_mm3, 4),
+        "depth_max_mm": _rounded(result.depth_max_mm),
+        "volume_mm3": _rounded(result.volume_mm3),
         "repaired_px": result.repaired_px,
         "shear_mm": _rounded(result.shear_of_contact_mm),
         **touch_fields(result.touch),
         **reason_fields(None if result.touch is None else result.touch.reason, "touch_reason"),
         "objects": [
-            {
-                "label": o.label,
-                "centroid_mm": [round(v, 4) for v in o.centroid_mm],
-                "extent_mm": [round(v, 4) for v in o.extent_mm],
-                "depth_max_mm": round(o.depth_max_mm, 4),
-                "area_mm2": round(o.area_mm2, 4),
-                "normal": _rounded(o.normal),
-                "shear_mm": _rounded(o.shear_mm),
-                "twist_deg": None if o.twist_deg is None else round(o.twist_deg, 3),
-                "id": o.id,
-                "slip": o.slip,
-                "slip_mm_s": None if o.slip_mm_s is None else round(o.slip_mm_s, 3),
-            }
-            for o in result.objects
+            {name: _rounded(getattr(each, name), _DIGITS.get(name, 4)) for name in _OF_OBJECT}
+            for each in result.objects
         ],
     }
 
 
-def _rounded(values: Sequence[float] | None) -> list[float] | None:
-    return None if values is None else [round(v, 4) for v in values]
+def _rounded(value: Any, digits: int = 4) -> Any:
+    if isinstance(value, tuple):
+        return [round(each, digits) for each in value]
+    return None if value is None else round(value, digits)
+
+
+def first_difference(folder: Path, against: Path) -> str:
+    """The frame, field and size of the first difference, as a line; empty if the runs are the same bytes. Raises
+    ConfigError if a folder has no complete run, and DecodeError if a run is damaged.
+    """
+    runs = folder, against
+    records, others = (read_summary(run) for run in runs)
+    names = [HEIGHTS, CLOUDS]
+    if all((run / SHEARS).exists() and (run / SHEARS).stat().st_size for run in runs):
+        names.append(SHEARS)
+    streams = [(name, payloads(folder, name), payloads(against, name)) for name in names]
+    for index, (record, other) in enumerate(zip(records, others, strict=False)):
+        found = _difference(record, other)
+        for name, mine, theirs in streams:
+            one, two = next(mine, None), next(theirs, None)
+            for run, payload in zip(runs, (one, two), strict=True):
+                if payload is None:
+                    raise DecodeError(f"{run / name}: found {index} payloads, expected {len(read_summary(run))}")
+            if not found and one is not None and two is not None and one != two:
+                found = f"{name}: {_difference(_values(one), _values(two)) or 'the bytes differ where no field is'}"
+        if found:
+            return f"frame {index} ({record.get('image')}): {found}"
+    return "" if len(records) == len(others) else f"frames: {len(records)}, against {len(others)}"
+
+
+def _values(payload: bytes) -> dict[str, Any]:
+    message = wire.decode(payload)
+    return {field.name: getattr(message, field.name) for field in fields(message)}
+
+
+def _difference(one: Any, two: Any) -> str:
+    """The first place where two values, lists or dicts of them differ, and how; empty if they do not."""
+    if isinstance(one, np.ndarray) and isinstance(two, np.ndarray):
+        if one.shape != two.shape:
+            return f"shape {one.shape}, against {two.shape}"
+        count = np.count_nonzero(~((one == two) | (np.isnan(one) & np.isnan(two))))
+        return f"{count} of {one.size} values differ" if count else ""
+    if isinstance(one, list) and isinstance(two, list):
+        one, two = dict(enumerate(one)), dict(enumerate(two))
+    if isinstance(one, dict) and isinstance(two, dict):
+        found = ((key, _difference(one.get(key), two.get(key))) for key in one | two)
+        return next((f"{key}: {how}" for key, how in found if how), "")
+    return "" if one == two else f"{one}, against {two}"
+
+
+def figures(folder: Path, against: Path) -> list[str]:
+    """Differences in contact and depth over the common frames, a line each. Raises like `first_difference`."""
+    pairs = list(zip(read_summary(folder), read_summary(against), strict=False))
+    if not pairs:
+        return []
+    places = [f"frame {k} ({one.get('image')})" for k, (one, _) in enumerate(pairs)]
+    changed = [
+        place for place, (one, two) in zip(places, pairs, strict=True) if one.get("contact") != two.get("contact")
+    ]
+    first = f", first {changed[0]}" if changed else ""
+    depths_mm = np.array([[one.get("depth_max_mm", 0.0), two.get("depth_max_mm", 0.0)] for one, two in pairs], float)
+    apart_mm = np.abs(depths_mm[:, 0] - depths_mm[:, 1])
+    worst = int(np.argmax(apart_mm))
+    return [
+        f"contact: differs in {len(changed)} of {len(pairs)} frames{first}",
+        f"depth_max_mm: mean {apart_mm.mean():.4f}, worst {apart_mm[worst]:.4f} mm apart in {places[worst]}",
+    ]

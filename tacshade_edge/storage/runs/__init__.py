@@ -1,1 +1,0 @@
-"""The files that `reconstruct` and `replay` write, and the comparison of two runs."""
