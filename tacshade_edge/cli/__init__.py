@@ -29,25 +29,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
     "replay": ("replay", "reconstruct a recording again and write or publish the results, or compare two runs"),
     "export": ("export", "convert a recording to MCAP, CSV or PLY for other tools"),
-    "dashboard": (
-        "dashboard",
-        "serve a web page with live height maps, a 3-D view and sensor health; the page needs no internet access",
-    ),
+    "dashboard": ("dashboard", "serve a web page with live height maps, a 3-D view and sensor health"),
     "bridge": ("bridge", "serve live data to Foxglove, Lichtblick and Prometheus"),
     "evaluate": ("evaluate", "score profiles against ground truth, using the paper's Experiment 1 or your own images"),
     "tradeoff": (
         "tradeoff",
-        "measure what outputs cost on this machine and how wrong they are, and choose settings for a need",
+        "measure speed and accuracy of profiles on this machine, and choose one for a time budget",
     ),
     "stitch": (
         "stitch",
-        "combine images and the robot's poses into one large map, and score the map against a known surface",
+        "combine images and the robot's poses into one large map, and score it against a known surface",
     ),
     "completion": ("completion", "print a shell script that completes commands and options"),
-    "simulate": (
-        "simulate",
-        "write simulated images with ground truth, as single presses, a calibration set or a touchpad scan",
-    ),
+    "simulate": ("simulate", "write simulated images with ground truth, a calibration set or a touchpad scan"),
 }
 
 

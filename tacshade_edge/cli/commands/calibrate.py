@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacshade_edge.cli.shared.options import add_option, need
+from tacshade_edge.cli.shared.options import add_flag, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -56,22 +56,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group(required=True)
     add_option(kind, "--sensor", "SENSOR.yaml", "file that describes the sensor's dimensions and camera")
     add_option(kind, "--rezero", "CAL.npz", "replace only the reference in this calibration file")
-    text = "at least 5 images of the untouched skin, or folders of them"
+    text = "5 or more images of the untouched skin, or folders"
     add_option(parser, "--reference", "IMG", text, required=True, nargs="+")
     add_option(parser, "--presses", "PRESSES.csv", "calibrate depth in mm with the known presses in this table")
-    text = "file that defines every indenter in PRESSES.csv that is not a ball"
-    add_option(parser, "--indenters", "INDENTERS.yaml", text)
-    text = "treat depth_mm in PRESSES.csv as travel from first touch"
-    parser.add_argument("--depth-from-touch", action="store_true", help=text)
-    text = "also train the networks on simulated frames of this sensor; takes minutes and needs the `fit` extra"
-    parser.add_argument("--fit", action="store_true", help=text)
-    text = "learn depth, tilt, shear, forces and so on from the labelled frames in this table"
-    add_option(parser, "--labels", "LABELS.csv", text)
+    add_option(parser, "--indenters", "INDENTERS.yaml", "the indenters in PRESSES.csv that are no balls")
+    add_flag(parser, "--depth-from-touch", "treat depth_mm in PRESSES.csv as travel from first touch")
+    add_flag(parser, "--fit", "also train the networks on a simulated twin: minutes, with the extra `fit`")
+    add_option(parser, "--labels", "LABELS.csv", "learn quantities from the labelled frames in this table")
     add_option(parser, "--out", "CAL.npz", "calibration file to write", required=True)
     add_option(parser, "--plot", "FILE.png", "draw what was found on the reference, or only its axes if it is refused")
-    text = "warn, but do not stop, if something seems to be pressing on the skin in the reference images"
-    parser.add_argument("--allow-loaded-reference", action="store_true", help=text)
-    parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
+    add_flag(parser, "--allow-loaded-reference", "only warn if the skin seems pressed in a reference")
+    add_flag(parser, "--json", "print the fitted values as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

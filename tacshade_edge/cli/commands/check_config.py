@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Callable
 
-from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_option
+from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_option
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.reasons import Reason
@@ -14,10 +14,8 @@ from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = "settings file (default: %(default)s)"
-    add_option(parser, "file", "FILE", text, nargs="?", default=DEFAULT_CONFIG)
-    text = "print the JSON Schema of settings files instead of checking a file"
-    parser.add_argument("--schema", action="store_true", help=text)
+    add_option(parser, "file", "FILE", "settings file (default: %(default)s)", nargs="?", default=DEFAULT_CONFIG)
+    add_flag(parser, "--schema", "print the JSON Schema of settings files")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
-from tacshade_edge.cli.shared.options import PORT, add_option, address, need
+from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, address, need
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.regular_files import read_regular
 
@@ -29,22 +29,18 @@ _FILE_BYTES_MAX: Final = 4096
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbosity(parser)
-    text = "the broker's address and MQTT port, not its WebSocket port (default: localhost:1883)"
+    text = "the broker's MQTT address (default: localhost:1883)"
     add_option(parser, "--broker", "HOST:PORT", text, address(), default=("localhost", 1883))
-    text = "port to serve the page on; 0 picks a free port (default: 8080)"
-    add_option(parser, "--http", "PORT", text, PORT, default=8080)
-    text = "address to listen on (default: this machine only); any other needs a token and makes the page read-only"
+    add_option(parser, "--http", "PORT", "port of the page; 0: any free one (default: 8080)", PORT, default=8080)
+    text = "address to listen on (default: this machine only); any other is read-only"
     add_option(parser, "--host", "ADDRESS", text, str, default="127.0.0.1")
-    text = "file with the token that opens the page read-only; the dashboard creates the file if it is missing"
-    add_option(parser, "--token-file", "FILE", text)
-    text = "also let anyone with the token send commands to the sensors"
-    parser.add_argument("--allow-control", action="store_true", help=text)
-    text = "let the page list, play, download and delete the recordings in this folder"
-    add_option(parser, "--recordings", "DIR", text)
+    add_option(parser, "--token-file", "FILE", "file with the token that opens the page; made if it is missing")
+    add_flag(parser, "--allow-control", "also let anyone with the token command the sensors")
+    add_option(parser, "--recordings", "DIR", "let the page play, download and delete the recordings here")
     add_option(parser, "--certificate", "FILE", "serve the page over TLS with the certificate in this PEM file")
     add_option(parser, "--key", "FILE", "PEM file with the certificate's private key (default: the --certificate file)")
     add_option(parser, "--ca-file", "FILE", "PEM file with the CA certificate, for a TLS connection to the broker")
-    text = "public address of a page that a proxy serves, such as https://hand.example.org"
+    text = "address of the page at a proxy: https://hand.example.org"
     add_option(parser, "--origin", "URL", text, _origin, action="append", default=[])
 
 

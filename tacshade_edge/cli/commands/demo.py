@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from tacshade_edge.cli.commands.dashboard import ANY, in_url, is_loopback, make_token
-from tacshade_edge.cli.shared.options import PORT, add_option, need
+from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, need
 from tacshade_edge.demo import hand as demo_hand
 from tacshade_edge.demo import touchpad
 from tacshade_edge.demo.child import Child, broker_command, free_port, wait_for_port
@@ -40,10 +40,9 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = f"port to serve the page on (default: {HTTP}, or any free port if {HTTP} is in use)"
     add_option(parser, "--http", "PORT", text, PORT)
-    text = "address to listen on, such as 0.0.0.0 (default: 127.0.0.1, this machine only)"
+    text = "address to listen on (default: this machine only)"
     add_option(parser, "--listen", "ADDRESS", text, str, default="127.0.0.1")
-    text = "instead of two separate sensors, show a five-fingered hand that holds a bottle"
-    parser.add_argument("--hand", action="store_true", help=text)
+    add_flag(parser, "--hand", "show a five-fingered hand that holds a bottle")
     add_option(parser, "--seconds", "N", "stop after N seconds", float, default=math.inf)
 
 

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.shared.options import add_config, add_option, add_profile, add_sensor
+from tacshade_edge.cli.shared.options import add_config, add_flag, add_option, add_profile, add_sensor
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
@@ -33,14 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_sensor(parser)
     add_option(parser, "--bundle", "FILE", "write a zip file of diagnostics that you can send when you ask for help")
-    text = "with --bundle: add a picture from the camera to the zip file"
-    parser.add_argument("--with-frame", action="store_true", help=text)
-    text = "print the findings as JSON: a list of {check, state, found, fix}, or of pictures with every figure"
-    parser.add_argument("--json", action="store_true", help=text)
+    add_flag(parser, "--with-frame", "with --bundle: add a picture from the camera")
+    add_flag(parser, "--json", "print {check, state, found, fix}, or each picture's figures, as JSON")
     add_option(parser, "--calibration", "CAL.npz", "with images: instead of the settings' calibration")
     add_profile(parser)
-    text = "check nothing else: show which judge refuses each of these images, or those in a folder, and why"
-    add_option(parser, "images", "IMG", text, nargs="*")
+    add_option(parser, "images", "IMG", "show only which judge refuses each of these images, and why", nargs="*")
 
 
 def run(args: argparse.Namespace) -> int:

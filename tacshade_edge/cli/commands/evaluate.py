@@ -43,13 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     files = "evaluation.md, evaluation.csv and evaluation.json"
     study.add_arguments(parser, "default: all but paper, which is slow", files)
     own = parser.add_argument_group("your own frames with labels instead of surfaces")
-    text = f"table of image and any of {', '.join(labels.COLUMNS)}"
-    add_option(own, "--labels", "CSV", text)
+    add_option(own, "--labels", "CSV", f"table of image and any of {', '.join(labels.COLUMNS)}")
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
-    text = "ball presses in each calibration (default: 40)"
-    add_option(simulated, "--presses", "N", text, COUNT)
-    text = "references in each calibration (default: 8)"
-    add_option(simulated, "--references", "N", text, COUNT)
+    add_option(simulated, "--presses", "N", "ball presses in each calibration (default: 40)", COUNT)
+    add_option(simulated, "--references", "N", "references in each calibration (default: 8)", COUNT)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.cli.shared.options import add_option, add_profile
+from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.ledger import StageTimer
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images",
     )
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    add_flag(parser, "--json", "print the summary as JSON")
     add_option(
         parser, "images", "IMG", "image, or folder whose images are taken in the order of their names", nargs="+"
     )

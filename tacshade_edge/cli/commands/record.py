@@ -31,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "how to store the frames (default: %(default)s)"
     parser.add_argument("--format", choices=("folder", "mcap"), default="folder", help=text)
     seconds = number(f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX)
-    text = "number of seconds to record; Ctrl-C stops the recording earlier"
-    add_option(parser, "--seconds", "N", text, seconds, required=True)
+    add_option(parser, "--seconds", "N", "seconds to record; Ctrl-C stops earlier", seconds, required=True)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import contextlib
 import re
 import signal
 
-from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_option, add_profile, address, warn
+from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_flag, add_option, add_profile, address, warn
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
@@ -26,22 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for heights.bin, clouds.bin and summary.json")
-    text = "compare the run in --out with this earlier run; exit with status 1 if they differ"
-    add_option(parser, "--against", "DIR", text)
-    text = "frame rate to assume for a recording without time stamps (default: 30)"
-    add_option(parser, "--fps", "N", text, POSITIVE)
-    text = "playback speed as a multiple of the recorded speed (default: as fast as possible)"
-    add_option(parser, "--speed", "FACTOR", text, POSITIVE)
-    text = "let the dashboard control playback (pause, step, seek) until you press Ctrl-C"
-    parser.add_argument("--play", action="store_true", help=text)
-    text = "number of times to play the recording; 0 repeats it until you press Ctrl-C (default: 1)"
-    add_option(parser, "--loop", "TIMES", text, COUNT, default=1)
+    add_option(parser, "--against", "DIR", "compare the run in --out with this one; exit 1 if they differ")
+    add_option(parser, "--fps", "N", "frame rate of a recording without time stamps (default: 30)", POSITIVE)
+    add_option(parser, "--speed", "FACTOR", "multiple of the recorded speed (default: as fast as possible)", POSITIVE)
+    add_flag(parser, "--play", "let the dashboard pause, step and seek, until Ctrl-C")
+    add_option(parser, "--loop", "TIMES", "times to play it; 0: until Ctrl-C (default: 1)", COUNT, default=1)
     add_option(parser, "--mqtt", "HOST:PORT", "publish to this broker as `run` does", address())
     add_option(parser, "--config", "FILE", "publish as `run` does, to the broker in these settings")
-    text = "publish on topics under tacshade/ID (default ID: replay)"
-    add_option(parser, "--sensor-id", "ID", text, _sensor_id, default="replay")
-    text = "video file or folder of images; omit INPUT if you only want to compare two runs"
-    add_option(parser, "input", "INPUT", text, nargs="?")
+    add_option(parser, "--sensor-id", "ID", "publish under tacshade/ID (default: replay)", _sensor_id, default="replay")
+    add_option(parser, "input", "INPUT", "video or folder of images; not needed to compare two runs", nargs="?")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -51,7 +51,7 @@ _NOISE_MM, _NOISE_DEG = 0.3, 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--out", "DIR", "folder for images, ground truth (.npz) and scenes.csv")
-    text = "objects to press, such as ball,none (default: the paper's five)"
+    text = "such as ball,none (default: the paper's five)"
     add_option(parser, "--objects", "NAME,...", text, str, default=",".join(PAPER_OBJECTS))
     for name, metavar, default, text in (
         ("--depth", "MM", 3.0, "depths in mm (default: 3)"),
@@ -66,15 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         text += "; may be repeated (default: 0 0)"
         parser.add_argument(name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text)
-    text = "folder for images of the untouched skin and of ball presses"
-    add_option(parser, "--calibration-set", "DIR", text)
+    add_option(parser, "--calibration-set", "DIR", "folder for images of the untouched skin and of ball presses")
     add_option(parser, "--presses", "N", "ball presses in the calibration set (default: 40)", COUNT, default=40)
-    text = "folder for presses that cover a touchpad, with poses and truth"
-    add_option(parser, "--pad", "DIR", text)
-    text = "distance between the pad's presses in mm (default: 4)"
-    add_option(parser, "--pad-step", "MM", text, FINITE, default=4.0)
-    text = "depth below the tops of the pad's bulges in mm (default: 2.7)"
-    add_option(parser, "--pad-depth", "MM", text, FINITE, default=2.7)
+    add_option(parser, "--pad", "DIR", "folder for presses that cover a touchpad, with poses and truth")
+    add_option(parser, "--pad-step", "MM", "distance between the pad's presses in mm (default: 4)", FINITE, default=4.0)
+    add_option(parser, "--pad-depth", "MM", "depth below the bulges' tops in mm (default: 2.7)", FINITE, default=2.7)
     add_option(parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0)
     add_option(parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.cli.shared.options import add_option, add_profile, warn
+from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.flange import ContactFrame, FoundFlange, delay_seen, find_flange, unseen
@@ -43,15 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     source = parser.add_mutually_exclusive_group(required=True)
     add_option(source, "--poses", "POSES.csv", "table of images and the robot's poses (base_T_flange)")
-    text = "recording that `replay` can read; each settled contact counts as one press"
-    add_option(source, "--recording", "INPUT", text)
+    add_option(source, "--recording", "INPUT", "a recording; each settled contact counts as one press")
     add_profile(parser, default="accurate")  # a map may take longer
-    text = "folder for map.npz, map.ply, map.png, map.json and preview.png"
-    add_option(parser, "--out", "DIR", text, required=True)
+    add_option(parser, "--out", "DIR", "folder for map.npz, .ply, .png, .json and preview.png", required=True)
     add_option(parser, "--truth", "PAD.npz", "score the map against this known surface and draw both")
-    text = "instead of a map, find flange_T_sensor and the frame delay from overlapping presses and write flange.json"
-    parser.add_argument("--find-flange", action="store_true", help=text)
-    parser.add_argument("--json", action="store_true", help="print map.json (with --find-flange: flange.json)")
+    add_flag(parser, "--find-flange", "find flange_T_sensor and the frames' delay, not a map: flange.json")
+    add_flag(parser, "--json", "print map.json (with --find-flange: flange.json)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -39,6 +39,10 @@ def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str]
     to.add_argument(name, type=kind, metavar=metavar, help=text, **more)
 
 
+def add_flag(to: Any, name: str, text: str) -> None:
+    to.add_argument(name, action="store_true", help=text)
+
+
 def add_config(parser: argparse.ArgumentParser, text: str = "settings file") -> None:
     add_option(parser, "--config", "FILE", f"{text} (default: %(default)s)", default=DEFAULT_CONFIG)
 
@@ -49,7 +53,7 @@ def add_sensor(parser: argparse.ArgumentParser) -> None:
 
 def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
     """Declare ``--profile`` of commands whose results must not depend on the machine's speed."""
-    text = f"profile, a trade-off between speed and accuracy (default: {default})"
+    text = f"speed against accuracy (default: {default})"
     parser.add_argument("--profile", type=_fixed, choices=sorted(PROFILES), default=default, help=text)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.shared.options import add_option, warn
+from tacshade_edge.cli.shared.options import add_flag, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
@@ -43,17 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
     text = f"{', '.join(PROFILES)} ({profiles})"
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), metavar="NAME", help=text)
     add_option(parser, "--out", "DIR", f"folder for {files}")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
+    add_flag(parser, "--json", "print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
     add_option(own, "--calibration", "CAL.npz", "from `calibrate`")
-    text = "folder of images, each with its ground truth, STEM.npz"
-    add_option(own, "--images", "DIR", text)
+    add_option(own, "--images", "DIR", "folder of images, each with its ground truth, STEM.npz")
 
 
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
-    text = f"seeds of the sensors, or 'default' for the standard one (default: {sensor_names})"
+    text = f"seeds, or 'default' for the standard one (default: {sensor_names})"
     add_option(group, "--sensors", "SEED,...", text, sensors)
     text = f"objects to press, such as ball,cube (default: {object_names})"
     add_option(group, "--objects", "NAME,...", text, objects)
