@@ -9,7 +9,7 @@ import re
 import time
 from pathlib import Path
 
-from tacshade_edge.doctor import Findings, fault, ok, warning
+from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.quoting import escaped
 from tacshade_edge.version import installed_version
@@ -19,7 +19,6 @@ _UNDER_VOLTAGE, _CAPPED, _SLOWED, _HOT = 1, 2, 4, 8
 _OWN_SCALING = ("intel_pstate", "amd-pstate-epp")  # their `powersave` follows the load
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
 _TIMEX_BYTES = 512  # struct timex has at most 208; all zero, it reads the state and changes nothing
-_FINE_S = 1e-6
 _DAY_S = 86400
 _FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
@@ -54,8 +53,7 @@ def check_board(machine: Machine) -> Findings:
 
 
 def check_clock() -> Findings:
-    resolution_s = time.get_clock_info("monotonic").resolution
-    return judge_clock(time.time(), Path(__file__).stat().st_mtime, synchronised(), resolution_s)
+    return (judge_clock(time.time(), Path(__file__).stat().st_mtime, synchronised()),)
 
 
 def synchronised() -> bool | None:
@@ -64,25 +62,20 @@ def synchronised() -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
-def judge_clock(now_s: float, installed_s: float, synced: bool | None, resolution_s: float) -> Findings:
-    """Findings on the wall clock's time, its synchronisation, and the monotonic clock's resolution."""
+def judge_clock(now_s: float, installed_s: float, synced: bool | None) -> Finding:
+    """Judge the wall clock's time and its synchronisation."""
     today = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
     keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
         found = f"the date is {today}, but this program was installed on {since}, so times and file names will be wrong"
         keep += "; a board without a battery-backed clock loses the time when it is switched off"
-        wall = fault("clock", found, keep)
-    elif synced is False:
+        return fault("clock", found, keep)
+    if synced is False:
         wrong = "times in messages and recordings may be wrong; measurements are not affected"
-        wall = warning("clock", f"{today}, not synchronised: {wrong}", keep)
-    else:
-        known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
-        wall = ok("clock", f"{today}, {known}")
-    if resolution_s <= _FINE_S:
-        return (wall,)
-    coarse = f"the monotonic clock counts in steps of {1e6 * resolution_s:g} µs"
-    return wall, warning("clock", coarse, "boot a kernel with high-resolution timers (remove highres=off)")
+        return warning("clock", f"{today}, not synchronised: {wrong}", keep)
+    known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
+    return ok("clock", f"{today}, {known}")
 
 
 def check_disk(folder: Path) -> Findings:
@@ -90,20 +83,20 @@ def check_disk(folder: Path) -> Findings:
     existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)
-    return judge_disk(folder, status.f_bavail * status.f_frsize, read_only)
+    return (judge_disk(folder, status.f_bavail * status.f_frsize, read_only),)
 
 
-def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> Findings:
+def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> Finding:
     if read_only:
         fix = "remount it read-write; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
-        return (fault("disk", f"{folder} is on a read-only file system", fix),)
+        return fault("disk", f"{folder} is on a read-only file system", fix)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
     if free_bytes < _FULL_BYTES:
-        return (fault("disk", f"{free}, too little to write a calibration", clear),)
+        return fault("disk", f"{free}, too little to write a calibration", clear)
     if free_bytes < _LOW_BYTES:
-        return (warning("disk", f"{free}; recordings will soon fill the disk", clear),)
-    return (ok("disk", free),)
+        return warning("disk", f"{free}; recordings will soon fill the disk", clear)
+    return ok("disk", free)
 
 
 def board_facts(machine: Machine) -> dict[str, str]:

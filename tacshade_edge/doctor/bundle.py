@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import io
 import json
-import os
 import re
 import subprocess
 import zipfile
@@ -24,11 +23,10 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.protocol.codec import decode_object
-from tacshade_edge.protocol.messages import encode_info
 from tacshade_edge.settings import Document, Settings, to_yaml
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import png
-from tacshade_edge.version import installed_version
 
 _LOG_LINES, _LOG_BYTES_MAX, _LOG_S = 2000, 4 << 20, 10.0
 _UNIT = "tacshade-edge"
@@ -76,11 +74,7 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
 
 def _versions() -> dict[str, Any]:
     installed = {each.name: each.version for each in importlib.metadata.distributions()}
-    return {
-        **board_facts(Machine()),
-        "packages": dict(sorted(installed.items())),
-        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
-    }
+    return {**board_facts(Machine()), "packages": dict(sorted(installed.items()))}
 
 
 def _without_user(settings: Settings) -> Settings:
@@ -106,11 +100,10 @@ def _calibration(document: Document) -> dict[str, Any]:
         found = calibrations.load(document.settings.calibration)
     except ConfigError as error:
         return {"reason": str(error)}
-    info = encode_info(version=installed_version(), config_digest="", profile="", calibration=found)
-    fit = {name: asdict(errors) for name, errors in found.fit.profiles.items()} if found.fit else None
     fitted = {name: networks.error_mm for name, networks in found.fitted.items()}
-    facts = {"factors": dict(found.factors), "fit": fit, "fitted_error_mm": fitted, "noise_grey": found.noise_grey}
-    return {"geometry": json.loads(info)["geometry"], "pitch_px": found.pitch_px, **facts}
+    facts: dict[str, Any] = {"crc32": f"{found.crc32:08x}", "pitch_px": found.pitch_px, "factors": dict(found.factors)}
+    facts |= {"fit": calibration_file.fit_figures(found.fit), "fitted_error_mm": fitted}
+    return {"geometry": asdict(found.geometry), "noise_grey": found.noise_grey, **facts}
 
 
 def _log() -> str:

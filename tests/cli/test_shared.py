@@ -83,17 +83,6 @@ def test_texts_without_end_are_bounded_and_hide_no_other_format() -> None:
     assert len(limit._kinds) <= 300
 
 
-def test_how_many_pass_and_when_the_others_are_told() -> None:
-    limit, text = Limit(), ("a", "b", "c")
-    assert sum(limit.passes(text, 0.0) for _ in range(100)) == AT_ONCE
-    assert limit.take_left_out(0.9 * PERIOD_S) == []
-    assert limit.take_left_out(PERIOD_S) == [("a", "c", 100 - AT_ONCE)]
-    assert limit.take_left_out(PERIOD_S) == []
-    assert limit.passes(text, PERIOD_S)
-    assert not limit.passes(text, 1.9 * PERIOD_S)
-    assert sum(limit.passes(text, 100 * PERIOD_S) for _ in range(100)) == AT_ONCE
-
-
 LOGS = """
 import argparse, logging, sys
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging

@@ -115,17 +115,11 @@ def test_power_and_governor(machine: Any, files: dict[str, str], found: list[str
 
 
 @pytest.mark.parametrize(
-    ("now_s", "synced", "resolution_s", "found"),
-    [
-        (NOW_S, True, 1e-9, ["ok"]),
-        (NOW_S, None, 1e-9, ["ok"]),
-        (NOW_S, False, 1e-9, ["warning"]),
-        (0.0, True, 1e-9, ["fault"]),
-        (NOW_S, True, 0.004, ["ok", "warning"]),
-    ],
+    ("now_s", "synced", "state"),
+    [(NOW_S, True, "ok"), (NOW_S, None, "ok"), (NOW_S, False, "warning"), (0.0, True, "fault")],
 )
-def test_clocks(now_s: float, synced: bool | None, resolution_s: float, found: list[str]) -> None:
-    assert states(judge_clock(now_s, INSTALLED_S, synced, resolution_s)) == found
+def test_clocks(now_s: float, synced: bool | None, state: str) -> None:
+    assert states([judge_clock(now_s, INSTALLED_S, synced)]) == [state]
     assert synchronised() in (True, False)
     assert states(check_clock())[0] in ("ok", "warning"), "this machine knows its year"
 
@@ -140,7 +134,7 @@ def test_clocks(now_s: float, synced: bool | None, resolution_s: float, found: l
     ],
 )
 def test_disk(tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> None:
-    assert states(judge_disk(Path("/var/lib/x"), free_bytes, read_only)) == [state]
+    assert states([judge_disk(Path("/var/lib/x"), free_bytes, read_only)]) == [state]
     later = tmp_path / "a/b/c"
     assert str(later) in checked(check_disk(later))[0].found, "a folder that is not there yet"
 

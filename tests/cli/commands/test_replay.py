@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import pty
 import re
 import signal
 import subprocess
@@ -23,7 +20,6 @@ from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.runs import CLOUDS, HEIGHTS, SUMMARY, payloads
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from tools.testbed.patience import patience, wait_until
 
@@ -156,34 +152,6 @@ def test_an_interrupted_run_leaves_nothing(folder: Path) -> None:
     assert errors == f"tacshade-edge: {out}: stopped before the end and wrote nothing\n"
     assert "frames, " in said
     assert list(out.iterdir()) == []
-
-
-@pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-def test_a_played_recording_has_no_number_of_frames(folder: Path) -> None:
-    """A person may see each of its five as often as he likes: progress went to "frames: 341/170"."""
-    leader, follower = pty.openpty()
-    os.set_blocking(leader, False)
-    heard = ""
-
-    def is_past_its_end() -> bool:
-        nonlocal heard
-        asks.publish("tacshade/run/req/replay", b'{"seek_s": 0}')
-        with contextlib.suppress(BlockingIOError):
-            heard += os.read(leader, 4096).decode()
-        return any(int(count) > len(IMAGES) for count in re.findall(r"frames: (\d+)", heard))
-
-    with Broker(folder) as broker, Subscriber(broker.port) as asks:
-        command = [*COMMAND, *words(folder, "--play", "--mqtt", f"127.0.0.1:{broker.port}", "--sensor-id", "run")]
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=follower) as child:
-            try:
-                wait_until(is_past_its_end, 20, "more frames are shown than it has")
-            finally:
-                child.terminate()
-            assert child.wait(patience(20)) == 0
-    os.close(follower)
-    os.close(leader)
-    assert "/" not in heard
 
 
 # For another machine's rounding: far below what a change of the reconstruction does.
