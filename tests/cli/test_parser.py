@@ -72,7 +72,6 @@ def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -
         *("evaluate --labels l --images x --calibration c --reference r", "tradeoff --budget-ms 0"),
         *("tradeoff --budget-ms nan", "tradeoff --images x", "tradeoff --report --budget-ms 3"),
         *(
-            "tradeoff --report --json",
             "tradeoff --calibration x --images x --objects ball",
             "doctor --with-frame",
             "doctor a.png --bundle b.zip",
