@@ -33,7 +33,7 @@ QUICK = "not guest and not broker and not slow and not browser"
 ALL = "not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
-ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 """As the program sets it for itself. Threads of several workers wait for each other at full speed: to learn from labels
 took 24 s of processor time with them and takes 8 s without."""
 BESIDE = ("lint", "guest")
