@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 
 from tacshade_edge.capture.page import Page, Shown
+from tacshade_edge.core.calibration.reference.pattern import Pattern, find_pattern, view
 from tacshade_edge.core.calibration.reference.references import (
     REST_MOST_GREY,
     block_means,
     motion_grey,
     stands_still,
 )
-from tacshade_edge.core.calibration.reference.view import Pattern, find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError

@@ -18,7 +18,7 @@ from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check import Judges, Measured, first_reason, light, size_reason, skin
+from tacshade_edge.core.frame_check import Judges, Measured, first_reason, picture, size_reason, skin
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -118,8 +118,8 @@ class Reconstructor:
 
         preprocessed = self._seen.preprocess(grey, self._white_space)
         drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
-        reason = first_reason(light.white_measured(preprocessed.unseen, drift_grey))
-        degraded = light.degraded_reason(preprocessed.unseen, drift_grey)
+        reason = first_reason(picture.white_measured(preprocessed.unseen, drift_grey))
+        degraded = picture.degraded_reason(preprocessed.unseen, drift_grey)
         mark("grey")
         if reason:
             return self._empty(frame, reason=reason)
@@ -191,7 +191,7 @@ class Reconstructor:
         if first_reason(made) is None:
             preprocessed = self._seen.preprocess(grey)
             drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
-            made += light.white_measured(preprocessed.unseen, drift_grey)
+            made += picture.white_measured(preprocessed.unseen, drift_grey)
             if first_reason(made) is None and self._gate.changed_part(preprocessed) >= self._gate_part:
                 made += skin.map_measured(self.depth(image).untrusted_logit, self.rays.inside)
         return made

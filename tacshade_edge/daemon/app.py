@@ -405,10 +405,8 @@ RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 
 def reload(running: Document, *, calibrated: bool) -> tuple[Document, Calibration | Reason, tuple[str, ...]]:
-    """Read the settings and the calibration again; there must be one if there was (`calibrated`).
-
-    The result has the running settings for every key in `RESTART_KEYS`, and names those that changed. Raises
-    ConfigError if the settings are bad, or the calibration does not fit the running source.
+    """Read the settings and the calibration again; there must be one if there was (`calibrated`). The result has the
+    running settings for every key in `RESTART_KEYS`, and names those that changed. Raises ConfigError.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
     sources.check_files(new)

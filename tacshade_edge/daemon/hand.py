@@ -1,7 +1,5 @@
 """The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device.
-
-Each finger has its own pair of datagram sockets, made before any process is forked: a finger that fills its line harms
-no other, and neither end waits. One byte of shared memory holds what the hand wants.
+Each finger has its own pair of datagram sockets, so that none harms another, and neither end waits.
 """
 
 from __future__ import annotations

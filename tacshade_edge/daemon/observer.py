@@ -33,9 +33,8 @@ class SourceState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """A frame with its pose, if known, and its result.
-
-    `calibration` is None if there is none yet; `reconstruction` is None for a contact whose depth nobody needed.
+    """A frame and its result. `calibration` is None before the first; `reconstruction` is None for a contact whose
+    depth nobody needed.
     """
 
     frame: Frame

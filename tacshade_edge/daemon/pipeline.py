@@ -33,10 +33,9 @@ class Crash:
 
 
 class Pipeline:
-    """The graph. One of the `observers`, which see a frame in this order, settles it in the ledger.
-
-    `running` is the reconstructor for the next frame, or the reason that there is none and no frame is valid;
-    `report` receives each new `SourceState` in the grab thread; `posed` adds the pose to a frame.
+    """The graph. One of the `observers`, which see a frame in this order, settles it in the ledger. `running` is the
+    next frame's reconstructor, or the reason that there is none; `report` receives each new `SourceState` in the grab
+    thread.
     """
 
     def __init__(
@@ -96,10 +95,8 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """One slot between two threads: the newest item wins, nothing queues up.
-
-    Two locks replace a condition: `put` wakes the taker in its last step, so that the taker never wakes only to wait
-    for `put`.
+    """One slot between two threads: the newest item wins. Two locks replace a condition, so that the taker never wakes
+    only to wait for `put`.
     """
 
     def __init__(self) -> None:
@@ -145,10 +142,8 @@ only the source's `skip`: it is neither copied nor passed to another thread."""
 
 
 class Grab:
-    """Reads the source until it ends, and reopens a lost one with growing pauses.
-
-    `report` is called in this thread with each new `SourceState`, never twice in a row with the same; `wants_next` once
-    for each frame, before it comes: whether it goes to the mailbox. The observers' `tap` takes every frame.
+    """Reads the source until it ends, and reopens a lost one with growing pauses. `wants_next` is called once for each
+    frame, before it comes: whether it goes to the mailbox.
     """
 
     def __init__(

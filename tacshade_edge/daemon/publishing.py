@@ -36,11 +36,8 @@ def discovery_topics(sensor_id: str) -> tuple[str, ...]:
 
 
 def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
-    """The announcements by topic, one for each entity (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery).
-
-    `profiles` are the names that ``req/profile`` accepts.
-    The depth is rounded to 0.1 mm because `contact` comes with every frame and Home Assistant stores each value that
-    differs from the previous one.
+    """The announcements by topic (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery). The depth is
+    rounded because Home Assistant stores each value that differs from the previous one.
     """
     base = f"tacshade/{sensor_id}"
     common = {
@@ -106,15 +103,9 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is p
 
 
 class Publisher(FrameObserver):
-    """Publishes what subscribers want of a frame, and settles the frame.
-
-    With contact: ``height``, ``cloud``, ``shear``, ``sigma``, ``touch`` and ``contact`` of every frame, and one
-    ``event/slip`` when an object begins to slide. Without: one zero ``height`` and one empty ``touch`` when the contact
-    ends (flagged if an invalid frame ended it), then only ``contact`` at 10 Hz. If a frame's height is offered, the
-    outcome of that offer settles the frame, otherwise `settle` does. Messages without a listener are left out, except
-    at the beginning and end of a contact that is or was published: no subscriber is left with outdated values. With
-    `always_shear` it requests shear even without a listener: for slip, and for its numbers in ``contact``. None of the
-    callables may wait.
+    """Publishes what subscribers want of a frame, and settles the frame, if its height is offered by the outcome of
+    that. Messages without a listener are left out, except at the beginning and end of a contact, so that no subscriber
+    is left with outdated values. With `always_shear` it requests shear even without a listener.
     """
 
     def __init__(
@@ -290,10 +281,8 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 
 
 class HomeAssistant:
-    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do.
-
-    Retained announcements outlive the daemon, and so does the status under its own topics that reports them. One that
-    never announced writes nothing outside its own topics.
+    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do: retained
+    announcements outlive the daemon, and so does the status that reports them.
     """
 
     def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:

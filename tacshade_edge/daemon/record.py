@@ -148,9 +148,8 @@ GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, Re
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in it.
-
-    `ending` is None while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
+    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in it; `ending` is None
+    while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
     """
 
     folder: Path
@@ -291,10 +290,8 @@ class _Job:
 
 
 class LiveRecorder:
-    """Starts and ends recordings; only the main thread uses it.
-
-    `report` (it is written) and `posed`, which may wait for a frame's pose, are called in the recording's thread. `tap`
-    takes the next captured frame in the grab thread; None while none is wanted.
+    """Carries out ``req/record``, each request with one reply, for ``stop`` when everything is written. `written` and
+    `posed`, which may wait for a frame's pose, are called in the thread `record`.
     """
 
     def __init__(self, report: Callable[[], None], posed: Posed | None = None) -> None:

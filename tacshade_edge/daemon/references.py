@@ -55,10 +55,8 @@ class ReferenceCollector:
 
 
 class UntouchedFrames:
-    """Ten frames of a sensor at rest once per `PERIOD_S`; a touched, invalid or doubtful frame ends them.
-
-    The reconstruct thread passes in every frame, the main thread takes the result. Time is that of the frames. Nothing
-    touched in the latest frame if `at_rest`; `discarded` counts how often frames were begun and not finished.
+    """Ten frames of a sensor at rest once per `PERIOD_S` of the frames' time; a touched, invalid or doubtful frame ends
+    them. The reconstruct thread passes in every frame, the main thread takes the result.
     """
 
     def __init__(self) -> None:
@@ -161,7 +159,9 @@ State = Literal["waiting", "following", "stopped", "held"]
 
 
 class References(FrameObserver):
-    """Where the reference began, and how far it has followed from there; only the main thread uses it, except `see`."""
+    """Where the reference began, and how far it has followed from there; handles ``req/reference``. `use` receives each
+    new one; `changed` is called when only its state is new; while a recording `held` it, it does not follow.
+    """
 
     health_key = "reference"
     stop_s = STITCHED_S

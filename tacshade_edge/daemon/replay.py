@@ -71,9 +71,8 @@ def replay(
     undecodable: Callable[[str], None],
 ) -> None:
     """Reconstruct every frame and deliver it to every sink, in order; `speed` None is as fast as possible.
-
-    `undecodable` receives a line about every image that cannot be used. Raises ConfigError if the first image does not
-    have the calibration's size: it is another sensor's recording.
+    `undecodable` receives a line about every unusable image. Raises ConfigError if the first image has another size
+    than the calibration.
     """
     begin_ns = time.monotonic_ns()
     pause, tracker, timer = threading.Event(), ContactTracker(), StageTimer()
@@ -123,10 +122,9 @@ REPORT_PERIOD_S: Final = 1.0
 
 
 class Playback:
-    """Plays a recording for a person (``req/replay``): paused, frame by frame, from anywhere, faster and slower.
-
-    It provides each frame when it is due; the end is a pause. One thread calls `read`; any may call `command` and
-    `status`. `changed` receives the status after every command, and at the end.
+    """Plays a recording for a person (``req/replay``): provides each frame when it is due; the end is a pause. One
+    thread calls `read`; any may call `command` and `status`. `changed` receives the status after every command, and at
+    the end.
     """
 
     def __init__(self, reopen: Callable[[], Recording], speed: float, changed: Changed) -> None:

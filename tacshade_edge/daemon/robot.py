@@ -1,4 +1,9 @@
-"""The robot next to the sensor: the part of the daemon that exists only with ``serial`` in the settings."""
+"""The robot next to the sensor: the part of the daemon that exists only with ``serial`` in the settings.
+
+Several sensors' processes may share a robot's line: one has the port, answers commands, and forwards what it hears, so
+that all have the same clock and poses. Each follower has its own pair of datagram sockets; a pose that finds no room is
+lost to it.
+"""
 
 from __future__ import annotations
 
@@ -107,10 +112,9 @@ class Robot(FrameObserver):
         return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
-        """Wait for the pose after the frame, and add the pose interpolated between it and the one before, if known.
-
-        The first answer for a frame counts: later poses and clock readings would place its press in a session and in
-        the recording differently.
+        """Wait for the pose after the frame, and add the pose interpolated between it and the one before, if known. The
+        first answer counts: later poses and clock readings would place a press in a session and in the recording
+        differently.
         """
         self._stopped.wait(max(0, frame.t_ns + POSE_WAIT_NS - time.monotonic_ns()) / 1e9)
         with self._first_answer:

@@ -43,7 +43,9 @@ from tacshade_edge.types import Frame, Pose, Reconstruction
 
 
 class RobotMotion:
-    """Where the sensor was and when. Any thread may use it; no call waits more than a few microseconds."""
+    """Where the sensor was and when, from what was `Heard` of the robot; `forward` passes that on to other sensors. Any
+    thread may use it.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -30,9 +30,8 @@ from tacshade_edge.types import F32, Calibration
 
 @dataclass(frozen=True, slots=True)
 class MapRevision:
-    """The map after a press, or the final one, whose files are in `folder`; `revision` counts the presses and the end.
-
-    `raster` makes the map in the session's thread, at a cost that grows with the map.
+    """The map after a press, or the final one, whose files are in `folder`; `raster` makes it, at a cost that grows
+    with it.
     """
 
     name: str

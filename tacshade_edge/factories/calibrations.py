@@ -1,7 +1,5 @@
-"""Loads calibrations for every command.
-
-A file of another version of the program is recalibrated from the images that it keeps. Its fitted weights stay if the
-shipped network still has their layout; otherwise the shipped network runs.
+"""Loads calibrations for every command. A file of another version is recalibrated from the images that it keeps; its
+fitted weights stay if the shipped network still has their layout.
 """
 
 from __future__ import annotations
@@ -28,10 +26,8 @@ _log = logging.getLogger(__name__)
 
 
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
-    """Load a calibration; one of another version is recalibrated if it keeps its images.
-
-    The result has the fitted networks that can run; the log names the others. With `store`, the recalibrated one
-    replaces the file, and the old file stays next to it. Raises ConfigError if the file cannot be used.
+    """Load a calibration, recalibrate one of another version if it keeps its images, and with `store` replace its file
+    and keep the old one beside it. Fitted networks that cannot run are left out. Raises ConfigError.
     """
     version = calibration_file.version_of(path)
     inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
@@ -39,18 +35,11 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
         return _running(path, calibration_file.load(path))
     from tacshade_edge.core.calibration.calibrate import make_again  # needed only after an update
 
-    _log.warning(
-        "%s: found version %s, expected %d; recalibrating from the file's images",
-        path,
-        version,
-        calibration_file.VERSION,
-    )
+    found = f"found version {version}, expected {calibration_file.VERSION}"
+    _log.warning("%s: %s; recalibrating from the file's images", path, found)
     try:
-        made = replace(
-            make_again(inputs, load_networks()),
-            fitted=calibration_file.fitted_in(path),
-            touch=calibration_file.touch_in(path),
-        )
+        fitted, touch = calibration_file.fitted_in(path), calibration_file.touch_in(path)
+        made = replace(make_again(inputs, load_networks()), fitted=fitted, touch=touch)
     except ConfigError as error:
         raise ConfigError(f"{path}: cannot recalibrate from the file's images: {error}; calibrate again") from None
     return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
@@ -78,12 +67,8 @@ def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibrat
     if len(can_run) == len(calibration.fitted):
         return calibration
     renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))
-    _log.warning(
-        "%s: the networks have changed since %s was fitted, so the shipped networks are in use; "
-        "run calibrate --fit again",
-        path,
-        renew,
-    )
+    text = f"the networks have changed since {renew} was fitted, so the shipped networks are in use"
+    _log.warning("%s: %s; run calibrate --fit again", path, text)
     return calibration_file.with_crc(replace(calibration, fitted=can_run))
 
 
@@ -98,18 +83,16 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
         write_whole(kept, path.read_bytes())
         stored = calibration_file.save(path, made, inputs)
     except (OSError, DeviceError) as error:
-        _log.warning(
-            "%s: the daemon recalibrates at each start because it cannot store the new calibration: %s", path, error
-        )
+        text = "the daemon recalibrates at each start because it cannot store the new calibration"
+        _log.warning("%s: %s: %s", path, text, error)
         return calibration_file.with_crc(made)
     _log.warning("%s: recalibrated from the file's images and kept the old file as %s", path, kept)
     return stored
 
 
 def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
-    """Load the calibration as `load_calibration` does; without a file return a reason that explains how to make one.
-
-    Raises ConfigError if the file exists but cannot be used.
+    """`load_calibration`, or a reason that explains how to make one if there is no file. Raises ConfigError if it
+    cannot be used.
     """
     path = document.settings.calibration
     try:
@@ -138,14 +121,13 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
         calibration = load(settings.calibration, store=store)
     except ConfigError as error:
         raise ConfigError(f"{document.where('calibration')}: {error}") from error
-    source = settings.source
-    expected = (calibration.image_width_px, calibration.image_height_px)
-    size: tuple[int, int] | None = None
+    source, expected = settings.source, (calibration.image_width_px, calibration.image_height_px)
+    key, size = "path", expected
     if isinstance(source, V4l2 | Rpicam):
         key, size = "width_px", (source.width_px, source.height_px)
     elif isinstance(source, Files):
-        key, size = "path", sources.first_size(document, source)
-    if size is not None and size != expected:
+        size = sources.first_size(document, source)
+    if size != expected:
         raise ConfigError(
             f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
             f"expected {expected[0]}x{expected[1]} px, the size of the calibration's images"

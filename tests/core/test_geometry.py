@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tacshade_edge.core.calibration.reference.pattern import rim_seen
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import (
     DiscRays,
@@ -20,9 +21,6 @@ from tacshade_edge.core.geometry.disc import (
     radius_squared,
     skin_planes,
     skin_points,
-)
-from tacshade_edge.core.geometry.visible_circle import (
-    rim_seen,
 )
 from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.truth import pixel_rays
@@ -55,30 +53,16 @@ def test_a_seen_skin_point_comes_back(d_mm: float | None, r_mm: float, part: flo
 
 
 @pytest.mark.parametrize("d_mm", [None, 14.0])
-def test_the_apex_is_at_the_radius_less_the_height(d_mm: float | None) -> None:
-    found = skin_points(np.array([0, 3], np.float32), rays_of([0, 0], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
-    np.testing.assert_allclose(found, [[0, 0, 20], [0, 0, 17]], atol=1e-5)
-
-
-@pytest.mark.parametrize("d_mm", [None, 14.0])
 def test_a_height_out_of_the_rays_reach_is_guarded(d_mm: float | None) -> None:
     geometry = Geometry(20.0, d_mm, 50.0, DISC)
     slope = 15.0 if d_mm is None else 0.5
-    heights = np.array([0, 18, 20], np.float32)
-    found = skin_points(heights, rays_of([slope] * 3, [0] * 3), geometry)
-    assert np.isfinite(found).all()
+    heights = np.array([0, 18, 20, np.nan], np.float32)
+    found = skin_points(heights, rays_of([slope] * 4, [0] * 4), geometry)
+    assert np.isfinite(found).all(axis=1).tolist() == [True, True, True, False]
     if d_mm is not None:  # the foot of the perpendicular from O on the ray
         foot = d_mm * 0.5 / 1.25
         np.testing.assert_allclose(found[1], [foot, 0, foot / 0.5 - d_mm], atol=1e-4)
     assert np.linalg.norm(found[0]) == pytest.approx(20, abs=1e-4)
-
-
-@pytest.mark.parametrize("d_mm", [None, 14.0])
-def test_nan_stays_nan(d_mm: float | None) -> None:
-    heights = np.array([np.nan, 1], np.float32)
-    found = skin_points(heights, rays_of([0.1, 0.1], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
-    assert np.isnan(found[0]).all()
-    assert np.isfinite(found[1]).all()
 
 
 @pytest.mark.parametrize("d_mm", [None, 14.0])
@@ -152,11 +136,6 @@ def test_a_grid_lies_in_its_window_and_covers_it(row0: int, col0: int, rows: int
             assert first % step == step // 2
 
 
-@given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
-def test_every_cell_of_an_image_grid_is_in_the_image(height: int, width: int, step: int) -> None:
-    assert cells_in_image(Grid.of_window(Window(0, 0, height, width), step), height, width).all()
-
-
 def test_cells_beyond_the_image_are_not_in_it() -> None:
     seen = cells_in_image(Grid(4, 5, -1.6, -0.4, 1.3), 3, 5)  # rows -1.6, -0.3, 1.0, 2.3; columns -0.4 ... 4.8
     np.testing.assert_array_equal(seen.any(axis=1), [False, True, True, True])
@@ -172,18 +151,7 @@ def test_the_mask_holds_the_pixels_whose_centre_is_in_the_circle() -> None:
 
 def test_the_rim_is_at_one_and_the_centre_at_zero() -> None:
     rho2 = radius_squared(Grid(11, 11, 0.0, 0.0, 1.0), Disc(5.0, 5.0, 5.0))
-    assert rho2[5, 5] == 0
-    assert rho2[5, 10] == rho2[0, 5] == 1
-
-
-@pytest.mark.parametrize("distance_mm", CAMERAS)
-def test_the_visible_circle_is_where_the_half_angle_is_seen(distance_mm: float | None) -> None:
-    geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.0, 163.0, 100.0))
-    theta = np.radians(50.0)
-    for angle in (0.0, 1.0, 3.0):
-        along = np.array([np.sin(theta) * np.cos(angle), np.sin(theta) * np.sin(angle), np.cos(theta)])
-        col, row = project(geometry, 20.0 * along)
-        assert np.hypot(row - 118.0, col - 163.0) == pytest.approx(100.0, abs=1e-9)
+    assert (rho2[5, 5], rho2[5, 10], rho2[0, 5]) == (0, 1, 1)
 
 
 @pytest.mark.parametrize("distance_mm", CAMERAS)
@@ -200,21 +168,12 @@ def test_rays_are_those_of_the_independent_camera(distance_mm: float | None) -> 
     np.testing.assert_allclose(rays.u.ravel(), u, atol=2e-6)
     np.testing.assert_allclose(rays.v.ravel(), v, atol=2e-6)
     np.testing.assert_array_equal(rays.inside.ravel(), np.hypot(rows - 118.3, cols - 163.6) <= 102.4)
-    assert rays.inside.shape == rays.u.shape == rays.v.shape == (60, 80)
 
 
 MAPPED = Disc(row_c=61.3, col_c=83.9, radius_px=47.7)
 
 
-def test_the_square_holds_the_disc_and_its_cells_tile_it() -> None:
-    grid = disc_map.map_grid(MAPPED)
-    assert grid.rows == grid.cols == disc_map.CELLS
-    reach = disc_map.REACH * MAPPED.radius_px
-    assert grid.row0 - grid.step_px / 2 == pytest.approx(MAPPED.row_c - reach)
-    assert grid.col0 + (grid.cols - 0.5) * grid.step_px == pytest.approx(MAPPED.col_c + reach)
-
-
-@pytest.mark.parametrize("distance", [None, 8.0, 14.0, 30.0])
+@pytest.mark.parametrize("distance", [None, 14.0])
 def test_what_is_known_agrees_with_the_camera(distance: float | None) -> None:
     geometry = Geometry(20.0, distance, 50.0, MAPPED)
     known = disc_map.geometry_maps(geometry, 6.0)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -46,10 +45,8 @@ DISCS = {
 FAR = {"all around", "a straight edge"}
 EMPTY = {"between pixels", "outside"}
 SMALL = [(1, 1), (2, 3), (8, 8), (9, 8), (17, 300), (64, 64)]
-LARGE = [(120, 160), (479, 641), (480, 640), (1200, 1600), (3072, 4096)]
-# `paper`, with its iterations over every pixel, takes ten seconds for the last but one; the last takes each several.
-LARGE_CASES = [(*size, profile) for size in LARGE[:-2] for profile in PROFILES]
-LARGE_CASES += [(*size, "fast") for size in LARGE[-2:]]
+# `paper`, with its iterations over every pixel, takes ten seconds for a larger image.
+LARGE_CASES = [(479, 641, profile) for profile in PROFILES] + [(3072, 4096, "fast")]
 
 
 def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
@@ -85,7 +82,7 @@ def test_every_disc_is_borne(profile: str, name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("pitch_px", [0.3, 1.0, 2.0, 3.5, 40.0, 500.0])
+@pytest.mark.parametrize("pitch_px", [0.3, 2.0, 500.0])
 def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
     made = always_asked(built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=pitch_px), profile)
     for image in (pressed(WHOLE, pitch_px), pressed(WHOLE), noise(1)(ROWS, COLS)):
@@ -125,7 +122,7 @@ def test_every_sensor_that_may_be_stated_is_borne(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("alpha", [5e-324, 1e-30, 1e-3, 15.0, 1e4, 9e5])
+@pytest.mark.parametrize("alpha", [5e-324, 1e-3, 15.0, 9e5])
 def test_paper_is_as_high_as_alpha_says_and_never_deeper_than_the_skin(alpha: float) -> None:
     calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX, alpha=alpha)
     result = sound_step(make_reconstructor(calibration, PROFILES["paper"]), pressed(WHOLE))
@@ -134,7 +131,7 @@ def test_paper_is_as_high_as_alpha_says_and_never_deeper_than_the_skin(alpha: fl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [2e-6, 1e-3, 1.0, 3.0, 1e5])
+@pytest.mark.parametrize("factor", [2e-6, 3.0, 1e5])
 @pytest.mark.parametrize("profile", [p.name for p in PROFILES.values() if p.network])
 def test_a_factor_scales_and_never_breaks(profile: str, factor: float) -> None:
     calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX)
@@ -153,11 +150,6 @@ def sensor_image(rows: int, cols: int) -> U8:
     return np.where(disc_mask(rows, cols, disc), image, np.uint8(5))
 
 
-@cache
-def whole_calibration(rows: int, cols: int) -> Calibration:
-    return built_calibration(rows, cols, noise_grey=0.5)
-
-
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize(("rows", "cols"), SMALL)
 def test_a_small_image_is_borne(profile: str, rows: int, cols: int) -> None:
@@ -171,7 +163,7 @@ def test_a_small_image_is_borne(profile: str, rows: int, cols: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("rows", "cols", "profile"), LARGE_CASES)
 def test_a_press_is_found_at_every_size(rows: int, cols: int, profile: str) -> None:
-    calibration = whole_calibration(rows, cols)
+    calibration = built_calibration(rows, cols)
     made = make_reconstructor(calibration, PROFILES[profile])
     disc = calibration.geometry.disc
     assert not sound_step(made, calibration.reference_grey).contact
@@ -182,16 +174,8 @@ def test_a_press_is_found_at_every_size(rows: int, cols: int, profile: str) -> N
     assert np.hypot(x_mm, y_mm) < 2.0  # of 20
 
 
-@pytest.mark.parametrize(("rows", "cols"), SMALL)
-def test_what_is_too_small_is_not_calibrated(rows: int, cols: int) -> None:
-    with pytest.raises(ConfigError, match=r"^found no .* in the reference") as refusal:
-        calibrate(Sensor(20.0, 30.0, 50.0, "bright"), [sensor_image(rows, cols)])
-    assert "\n" not in str(refusal.value)
-    assert not re.search("nan|inf", str(refusal.value))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("rows", "cols", "every"), [(8, 8, 1), (96, 128, 3), (480, 640, 11)])
+@pytest.mark.parametrize(("rows", "cols", "every"), [(8, 8, 1), (96, 128, 3)])
 def test_no_extreme_image_is_taken_for_a_sensor(rows: int, cols: int, every: int) -> None:
     for name, image in list(EXTREME_IMAGES.items())[::every]:
         with pytest.raises(ConfigError) as refusal:

@@ -54,10 +54,10 @@ def test_a_factor_is_in_its_range_whatever_the_network_said(
     distance_mm: float | None, height_mm: float, bad: float | None
 ) -> None:
     geometry = Geometry(20.0, distance_mm, 50.0, Disc(60.0, 60.0, 50.0))
-    rows = refit.press_rows(inverse_of(height_mm, bad), geometry, BALL)
-    if rows is None:
+    shown = refit.press_factor(inverse_of(height_mm, bad), geometry, BALL)
+    if shown is None:
         return
-    factor = refit.fit_factor([rows] * refit.LEAST_PRESSES)
+    factor = refit.fit_factor([shown] * refit.LEAST_PRESSES)
     assert factor is not None
     assert refit.FACTOR_RANGE[0] <= factor <= refit.FACTOR_RANGE[1]
 

@@ -59,7 +59,7 @@ def reconstruct(folder: Path, out: Path) -> None:
     for name, profile in PROFILES.items():
         made, preprocessor = make_reconstructor(calibration, profile), Preprocessor(calibration, profile)
         for k, image in enumerate(images):
-            total = preprocessor.preprocess(preprocessor.grey(image)).white.total
+            total = preprocessor.preprocess(preprocessor.grey(image)).white
             found[f"{name} {k} white"] = np.diff(np.diff(total, axis=0), axis=1).astype(np.uint8)
             result = made.step(Frame(k, k, k, image))
             found[f"{name} {k} height"] = result.height.height_mm

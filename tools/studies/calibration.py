@@ -24,17 +24,14 @@ from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.observation import (
     PressObservation,
     first_touch_mm,
-    observe_press,
 )
-from tacshade_edge.core.calibration.presses.press_check import PressViewer, as_seen
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.core.calibration.presses.press_selection import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
-from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
+from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator import camera_faults
@@ -115,12 +112,9 @@ def uneven(image: U8, part: float) -> U8:
 def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
     """What is wrong with one press, and whether it is found; each press in turn."""
     unloaded, scale = given.calibrate(presses=[]).calibration, given.scale
-    preprocessor, geometry = Preprocessor(unloaded, PROFILE), unloaded.geometry
-    mapper = GreyMapper(preprocessor)
-    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], load_networks()[GRADED_PROFILE])
-    grey = [observe_press(preprocessor, mapper, press) for press in given.presses]
-    views = [viewer.view(press) for press in given.presses]
-    observed = [as_seen(each, view) for each, view in zip(grey, views, strict=True)]
+    check, geometry = PressCheck(unloaded, load_networks()[GRADED_PROFILE]), unloaded.geometry
+    grey = [check.observe(press) for press in given.presses]
+    observed = [check.see(each, press) for each, press in zip(grey, given.presses, strict=True)]
     changes: dict[str, Callable[[KnownPress], KnownPress]] = {
         f"one depth {off:+.1f} mm off": lambda p, off=off: replace(p, depth_mm=p.depth_mm + off * scale)
         for off in (-1.5, 1.0, 1.5, 2.0, 2.5)
@@ -142,7 +136,7 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
             stated = replace(
                 grey[k], depth_mm=wrong.depth_mm, radius_mm=wrong.radius_mm, x_mm=wrong.x_mm, y_mm=wrong.y_mm
             )
-            found = outliers([*observed[:k], as_seen(stated, viewer.view(wrong)), *observed[k + 1 :]], geometry)
+            found = outliers([*observed[:k], check.see(stated, wrong), *observed[k + 1 :]], geometry)
             yield label, k in found
 
 
@@ -185,9 +179,9 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     yield "8 presses in the middle", "close together", told(near)
     yield "half the disc", "no press lies|close together", told([p for p in presses if (p.x_mm or 0) > -1])
     alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
-    yield "10 presses of like depth", "deep: other depths", told(alike)
+    yield "10 presses of like depth", "mm deep: add some", told(alike)
     alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
-    yield "8 presses of like radius", "all balls have radii", told(alike)
+    yield "8 presses of like radius", "all presses use balls", told(alike)
 
     for px in (0.5, 1.0, 2.0, 6.0):
         yield (

@@ -10,7 +10,7 @@ import numpy as np
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.calibration.observation import position_mae_mm
 from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, select_presses
-from tacshade_edge.core.calibration.presses.table_check import travel_mistake, zero_hint
+from tacshade_edge.core.calibration.presses.table_check import zero_hint
 from tacshade_edge.core.calibration.quality import (
     AGREEMENT_FAIR_MM,
     GRADED_PROFILE,
@@ -35,10 +35,7 @@ from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import U8, Calibration, Fit, Geometry
-
-UNLIKE_PART = 0.03
-"""Part of the median press's disc: a warning is due if the network cannot explain more than this."""
+from tacshade_edge.types import U8, Calibration, Fit, Geometry, Polarity
 
 UNUSUAL_ERRORS = 1.4
 """Error scale of the graded profile above which a warning is due (at most 1.34 on six sensors of the trained family,
@@ -63,30 +60,25 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit everything about a sensor that images can show, from at least one image of the unloaded skin and any presses;
-    the networks are those of the profiles to refit. Raises ConfigError, and says why, if that cannot give a
-    calibration.
+    """Fit all that images show of a sensor from at least one image of the unloaded skin and any presses. `networks`:
+    those of the profiles to refit. Raises ConfigError if that cannot give a calibration.
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
     warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
     if not sensor.visible_circle and (unsure := pattern.rim_warning(unloaded.reference_grey, unloaded.geometry.disc)):
         warnings = (unsure, *warnings)
-    if not any(press.x_mm is not None for press in presses) and (doubt := _doubted_polarity(sensor, unloaded)):
-        warnings += (doubt,)
+    if sensor.polarity and not any(press.x_mm is not None for press in presses):
+        warnings += _doubted_polarity(sensor.polarity, shown_polarity(unloaded))
     if not presses:
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
-    graded_network = (networks or {}).get(GRADED_PROFILE)
-    selection = select_presses(unloaded, presses, graded_network, polarity_stated=sensor.polarity is not None)
-    unloaded = replace(unloaded, polarity=selection.polarity)
-    geometry = unloaded.geometry
+    networks, geometry = networks or {}, unloaded.geometry
+    selection = select_presses(unloaded, presses, networks.get(GRADED_PROFILE), polarity_stated=bool(sensor.polarity))
     # The paper's α for this sensor scales a normalised height of 1 to the mean pressed depth.
     alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px
-    fitted = replace(unloaded, alpha=alpha)
-    refits = {}
-    for name, network in (networks or {}).items():
-        if refit := refit_profile(fitted, PROFILES[name], network, selection.presses):
-            refits[name] = refit
+    fitted = replace(unloaded, polarity=selection.polarity, alpha=alpha)
+    made = {name: refit_profile(fitted, PROFILES[name], each, selection.presses) for name, each in networks.items()}
+    refits = {name: refit for name, refit in made.items() if refit}
     fit = Fit(
         presses=len(selection.presses),
         agreement_mae_mm=agreement_mae_mm(selection.observations, geometry),
@@ -101,37 +93,26 @@ def calibrate(
     )
     warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
-    if graded and (mistake := travel_mistake(graded.found_mm, graded.placed, geometry)):
-        raise ConfigError(mistake)
-    hint = zero_hint(graded.found_mm, graded.placed, geometry) if graded else ""
-    if hint:
-        warnings += (hint,)
     if graded:
-        warnings += graded.left_out
-    if graded and graded.untrusted_part > UNLIKE_PART:
-        part = 100 * graded.untrusted_part
-        warnings += (
-            f"unlike the sensors that the networks know: they do not explain {part:.0f} % of the median press",
-        )
-    if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
-        words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
-        # A fit to labels that contradict each other learns their errors.
-        advice = "" if hint or fit.agreement_mae_mm > AGREEMENT_FAIR_MM * skin_scale(geometry) else "; --fit may help"
-        warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
+        if hint := zero_hint(graded.found_mm, graded.placed, geometry):
+            warnings += (hint,)
+        warnings += graded.warnings
+        if graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
+            words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
+            # A fit to labels that contradict each other learns their errors.
+            is_exact = not hint and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
+            advice = "; --fit may help" if is_exact else ""
+            warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality, selection.presses)
 
 
-def _doubted_polarity(sensor: Sensor, unloaded: Calibration) -> str:
-    """A warning if the reference alone shows the polarity, or another one than stated; empty otherwise."""
-    likely = shown_polarity(unloaded)
-    if sensor.polarity is None:
-        return f"polarity: assumed {likely}; only presses at stated places show it, and only `paper` uses it"
-    if sensor.polarity == likely:
-        return ""
+def _doubted_polarity(stated: Polarity, likely: Polarity) -> tuple[str, ...]:
+    """A warning if the reference shows another polarity than stated."""
     pins = "white pins on black, as of a TacTip" if likely == "dark" else "no white pins on black"
-    return f"polarity: found {sensor.polarity}, expected {likely}: the reference shows {pins}"
+    shown = f"polarity: found {stated}, expected {likely}: the reference shows {pins}"
+    return () if stated == likely else (shown,)
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:

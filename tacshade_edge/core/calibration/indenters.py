@@ -1,8 +1,5 @@
-"""Place balls and indenters of other shapes, and compute where their surface lies in a press.
-
-Every shape but a ball is a closed surface of triangles. Round sides have `SIDES` flats with corners on the circle, so
-the surface is at most 3e-4 radii inside the true one. (M. Botsch et al., "Polygon Mesh Processing", 2010, section 1.3:
-triangle meshes and barycentric coordinates.)
+"""Place balls and indenters of other shapes, and compute where their surface lies in a press. Every shape but a ball is
+a closed surface of triangles; round sides have `SIDES` flats with corners on the circle, at most 3e-4 radii inside it.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ from tacshade_edge.types import F32, F64, I64, Geometry, frozen
 
 SIDES = 128
 """Number of flats of a round side."""
-# Heights of an upright shape's corners, mm: only the lowest matter, and the last is beyond any skin.
+# Heights of an upright shape's corners, mm: the last is beyond any skin.
 _LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
 # Triangles nearer to the lens than this, in skin radii, are ignored: no image shows them.
 _LEAST_RANGE = 1e-3
@@ -46,9 +43,8 @@ class Ball:
 
     def first_touch_mm(self, skin_radius_mm: float) -> float:
         """The depth at which it first touches the undeformed skin, moving along -z: at most 0."""
-        beside2 = self.x_mm**2 + self.y_mm**2
-        touch_z = math.sqrt(max((skin_radius_mm + self.radius_mm) ** 2 - beside2, 0.0))
-        return math.sqrt(max(skin_radius_mm**2 - beside2, 0.0)) - (touch_z - self.radius_mm)
+        touch_z = skin_z_mm(skin_radius_mm + self.radius_mm, self.x_mm, self.y_mm)
+        return skin_z_mm(skin_radius_mm, self.x_mm, self.y_mm) - (touch_z - self.radius_mm)
 
     def deeper(self, by_mm: float) -> Ball:
         """The same ball pressed deeper."""
@@ -57,9 +53,7 @@ class Ball:
 
 @frozen
 class Indenter:
-    """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor; corners (N, 3, 3) of
-    triangles.
-    """
+    """A solid in its own frame, of triangles (N, 3, 3): the lowest point has z = 0; z points away from the sensor."""
 
     name: str
     triangles_mm: F64
@@ -67,8 +61,8 @@ class Indenter:
 
 @frozen
 class PlacedIndenter:
-    """An indenter during a press: where its origin is, how far its lowest point is under the undeformed skin there, and
-    its triangles (N, 3, 3), all in the sensor frame.
+    """An indenter during a press, in the sensor frame: its origin's place, depth as in PRESSES.csv, triangles (N, 3,
+    3).
     """
 
     x_mm: float
@@ -86,7 +80,7 @@ class PlacedIndenter:
         for _ in range(_TOUCH_STEPS):
             x, y, z = _nearest(lifted)[0]
             # At least the deepest point must come out, so this never lifts too far.
-            step = math.sqrt(max(skin_radius_mm**2 - x * x - y * y, 0.0)) - z
+            step = skin_z_mm(skin_radius_mm, x, y) - z
             if math.hypot(x, y, z) >= skin_radius_mm or step <= _TOUCH_STEP * skin_radius_mm:
                 break
             lifted[..., 2] += step
@@ -98,8 +92,8 @@ class PlacedIndenter:
         return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
-        """Heights h = r - |S| at the points S where the camera's rays first meet the surface (rows, cols); NaN outside
-        the disc and where the surface is not inside the undeformed skin.
+        """Heights h (rows, cols) where the camera's rays first meet the surface; NaN outside the disc and the
+        undeformed skin.
         """
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
         near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
@@ -149,6 +143,11 @@ def mesh(name: str, triangles_mm: F64) -> Indenter:
     return Indenter(name, triangles_mm - (0.0, 0.0, float(triangles_mm[..., 2].min())))
 
 
+def skin_z_mm(skin_radius_mm: float, x_mm: float, y_mm: float) -> float:
+    """The undeformed skin's z at (x, y), mm; 0 outside."""
+    return math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
+
+
 def place(
     indenter: Indenter,
     skin_radius_mm: float,
@@ -168,24 +167,21 @@ def place(
     about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
     about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
     turned = indenter.triangles_mm @ (about_y @ about_x @ about_z).T
-    skin_z = math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
-    z_mm = skin_z - depth_mm - float(turned[..., 2].min())
+    z_mm = skin_z_mm(skin_radius_mm, x_mm, y_mm) - depth_mm - float(turned[..., 2].min())
     return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
 
 
-def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
+def stated_ball(skin_radius_mm: float, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
     """Place a ball pressed along -z (docs/reference/calibration-files.md defines its depth)."""
-    beside = max(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0)
-    return Ball(x_mm, y_mm, math.sqrt(beside) - depth_mm + radius_mm, radius_mm)
+    return Ball(x_mm, y_mm, skin_z_mm(skin_radius_mm, x_mm, y_mm) - depth_mm + radius_mm, radius_mm)
 
 
-def ball_along(geometry: Geometry, along: F64, depth_mm: float, radius_mm: float) -> Ball:
+def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: float) -> Ball:
     """Place a ball in the direction from O of the middle of its contact, which is also that of its centre."""
-    reach = geometry.skin_radius_mm - depth_mm + radius_mm
+    reach = skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
-        x, y = reach * along[0], reach * along[1]
-        reach = stated_ball(geometry, x, y, depth_mm, radius_mm).z_mm / along[2]
-    return stated_ball(geometry, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
+        reach = stated_ball(skin_radius_mm, reach * along[0], reach * along[1], depth_mm, radius_mm).z_mm / along[2]
+    return stated_ball(skin_radius_mm, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
 
 
 def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
@@ -198,9 +194,8 @@ def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS
 
 
 def ball_height_along(geometry: Geometry, ball: Ball, u: F64, v: F64) -> F64:
-    """Height h of the ball's surface along rays (u, v) of `DiscRays`, any shape, mm; NaN where a ray misses it.
-
-    Computed by components, because numpy sums over an axis of three many times slower.
+    """Height h of the ball's surface along rays (u, v) of `DiscRays`, mm; NaN where a ray misses it. By components,
+    because numpy sums over an axis of three many times slower.
     """
     if geometry.camera_distance_mm is None:
         origin = (u, v, np.zeros_like(u))
@@ -233,9 +228,7 @@ def level(outline: F64, z_mm: float) -> F64:
 
 
 def surface(rings: Sequence[F64]) -> F64:
-    """Triangles (N, 3, 3), counter-clockwise from outside, of rings of equally many corners (N, 3), counter-clockwise
-    and the lowest first; both ends are closed.
-    """
+    """Triangles (N, 3, 3), counter-clockwise from outside, of rings (N, 3), the lowest first; both ends are closed."""
     faces = []
     for low, high in itertools.pairwise(rings):
         low_after, high_after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
@@ -315,8 +308,8 @@ _STEPS = 48  # rings of a shape that is round below
 
 @frozen
 class Printable:
-    """An indenter to print: its entry in INDENTERS.yaml, and its triangles (N, 3, 3), counter-clockwise from outside;
-    the lowest point has z = 0, the stem points along z.
+    """An indenter to print: its entry in INDENTERS.yaml, and its triangles, counter-clockwise from outside; the stem is
+    up.
     """
 
     name: str
@@ -326,13 +319,26 @@ class Printable:
 
 def printables() -> tuple[Printable, ...]:
     """Make the indenters for a skin of radius 20 mm: balls, flat ends, a square, a lying bar, a cone."""
-    return (
-        *(_ball(radius_mm) for radius_mm in (3.0, 6.0, 9.0)),
-        *(_flat(radius_mm) for radius_mm in (3.0, 5.0)),
-        _square(6.0),
-        _bar(2.0, 14.0),
-        _cone(90.0),
-    )
+    made = []
+    for radius_mm in (3.0, 6.0, 9.0):
+        neck_mm = min(STEM_RADIUS_MM, _NECK * radius_mm)
+        polar = np.linspace(0, math.pi - math.asin(neck_mm / radius_mm), _STEPS).tolist()
+        rings = [level(circle(radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar]
+        rings.append(level(circle(neck_mm), float(rings[-1][0, 2]) + _SHOULDER_MM))
+        made.append(_on_a_stem(f"ball_{radius_mm:g}", {"shape": "ball", "radius_mm": radius_mm}, rings))
+    for radius_mm in (3.0, 5.0):
+        rings = [level(circle(radius_mm), z) for z in (0.0, _SHOULDER_MM)]
+        made.append(_on_a_stem(f"flat_{radius_mm:g}", {"shape": "cylinder", "radius_mm": radius_mm}, rings))
+    rings = [level(_rectangle(6.0, 6.0), z) for z in (0.0, _SHOULDER_MM)]
+    made.append(_on_a_stem("square_6", {"shape": "box", "length_mm": 6.0, "width_mm": 6.0}, rings))
+    # A bar is round below its axis and keeps its full width above.
+    polar = np.linspace(0, math.pi / 2, _STEPS).tolist()
+    rings = [level(_rectangle(14.0, 4.0 * math.sin(a)), 2.0 * (1 - math.cos(a))) for a in polar]
+    rings.append(level(_rectangle(14.0, 4.0), _SHOULDER_MM))
+    made.append(_on_a_stem("bar_2", {"shape": "bar", "radius_mm": 2.0, "length_mm": 14.0}, rings))
+    rings = [level(circle(r), z) for r, z in ((0.0, 0.0), (_SHOULDER_MM, _SHOULDER_MM))]
+    made.append(_on_a_stem("cone_90", {"shape": "cone", "angle_deg": 90.0}, rings))
+    return tuple(made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,9 +352,7 @@ class Planned:
 
 
 def planned_presses() -> tuple[Planned, ...]:
-    """Plan five presses with each of `printables`: all places form a sunflower out to `_REACH_MM` (Vogel 1979), those
-    of each indenter spread over all of it.
-    """
+    """Plan five presses with each of `printables`, whose places form a sunflower out to `_REACH_MM` (Vogel 1979)."""
     names = [each.name for each in printables()]
     count, golden = len(names) * len(_DEPTHS_MM), math.pi * (3 - math.sqrt(5))
     presses = []
@@ -359,42 +363,6 @@ def planned_presses() -> tuple[Planned, ...]:
             x_mm, y_mm = (round(rho_mm * part, 1) for part in (math.cos(k * golden), math.sin(k * golden)))
             presses.append(Planned(name, x_mm, y_mm, _DEPTHS_MM[(turn + 2 * which) % len(_DEPTHS_MM)]))
     return tuple(presses)
-
-
-def _ball(radius_mm: float) -> Printable:
-    entry: dict[str, str | float] = {"shape": "ball", "radius_mm": radius_mm}
-    neck_mm = min(STEM_RADIUS_MM, _NECK * radius_mm)
-    polar = np.linspace(0, math.pi - math.asin(neck_mm / radius_mm), _STEPS)
-    rings = [level(circle(radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar.tolist()]
-    rings.append(level(circle(neck_mm), float(rings[-1][0, 2]) + _SHOULDER_MM))
-    return _on_a_stem(f"ball_{radius_mm:g}", entry, rings)
-
-
-def _flat(radius_mm: float) -> Printable:
-    entry: dict[str, str | float] = {"shape": "cylinder", "radius_mm": radius_mm}
-    return _on_a_stem(f"flat_{radius_mm:g}", entry, [level(circle(radius_mm), z) for z in (0.0, _SHOULDER_MM)])
-
-
-def _square(side_mm: float) -> Printable:
-    entry: dict[str, str | float] = {"shape": "box", "length_mm": side_mm, "width_mm": side_mm}
-    rings = [level(_rectangle(side_mm, side_mm), z) for z in (0.0, _SHOULDER_MM)]
-    return _on_a_stem(f"square_{side_mm:g}", entry, rings)
-
-
-def _bar(radius_mm: float, length_mm: float) -> Printable:
-    """A bar that is round below its axis and keeps its full width above."""
-    entry: dict[str, str | float] = {"shape": "bar", "radius_mm": radius_mm, "length_mm": length_mm}
-    polar = np.linspace(0, math.pi / 2, _STEPS).tolist()
-    rings = [level(_rectangle(length_mm, 2 * radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar]
-    return _on_a_stem(f"bar_{radius_mm:g}", entry, [*rings, level(_rectangle(length_mm, 2 * radius_mm), _SHOULDER_MM)])
-
-
-def _cone(angle_deg: float) -> Printable:
-    entry: dict[str, str | float] = {"shape": "cone", "angle_deg": angle_deg}
-    wide_mm = math.tan(math.radians(angle_deg) / 2) * _SHOULDER_MM
-    return _on_a_stem(
-        f"cone_{angle_deg:g}", entry, [level(circle(r), z) for r, z in ((0.0, 0.0), (wide_mm, _SHOULDER_MM))]
-    )
 
 
 def _on_a_stem(name: str, entry: Mapping[str, str | float], rings: list[F64]) -> Printable:

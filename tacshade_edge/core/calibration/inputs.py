@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tacshade_edge.core.calibration.indenters import Indenter
+from tacshade_edge.core.calibration.indenters import Indenter, Placed, place, stated_ball
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """The user's description of a sensor (SENSOR.yaml); `polarity`, `visible_circle`, `binarisation` and, for
-    ``--fit``, the sizes in `print_mm` (by their keys in the file) override what `calibrate` finds.
-    """
+    """SENSOR.yaml; stated circle, polarity, binarisation and, for ``--fit``, `print_mm` override what is found."""
 
     skin_radius_mm: float
     camera_distance_mm: float | None
@@ -28,8 +27,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPress:
-    """A known press: its image and its row of PRESSES.csv, with the angles of `place`. A ball has a radius, no
-    indenter, and no x and y if the image must locate it.
+    """An image and its row of PRESSES.csv. A ball has a radius, no indenter, and no x and y if the image must locate
+    it.
     """
 
     name: str
@@ -43,11 +42,20 @@ class KnownPress:
     tilt_x_deg: float = 0.0
     tilt_y_deg: float = 0.0
 
+    def placed(self, skin_radius_mm: float) -> Placed:
+        """Its indenter at the stated place. Raises ConfigError if it states none."""
+        if self.x_mm is None or self.y_mm is None:
+            raise ConfigError(f"{self.name}: x_mm, y_mm: found no values, expected both values")
+        if self.indenter is None:
+            return stated_ball(skin_radius_mm, self.x_mm, self.y_mm, self.depth_mm, self.radius_mm)
+        angles = self.yaw_deg, self.tilt_x_deg, self.tilt_y_deg
+        return place(self.indenter, skin_radius_mm, self.x_mm, self.y_mm, self.depth_mm, *angles)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """All input to a calibration, kept so that it can be repeated; grey images only, `renewed` of the latest new
-    reference (``calibrate --rezero``).
+    """All input to a calibration, in grey, so that it can be repeated; `renewed` is of the latest ``calibrate
+    --rezero``.
     """
 
     sensor: Sensor

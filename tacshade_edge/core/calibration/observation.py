@@ -1,45 +1,36 @@
-"""What the image of a press shows, next to the stated values.
-
-The white ratio follows the skin's local shape, not its depth: under a flat it has saturated at 0.5 mm. What does grow
-with depth is how much skin changed: the brightening inside the contact, and even more the darkening of its rim, which
-wide and narrow objects share. The screened Poisson equation sums both over a neighbourhood (P. Bhat, B. Curless, M.
-Cohen, C. L. Zitnick, "Fourier analysis of the 2D screened Poisson equation for gradient domain problems", ECCV 2008).
+"""What the image of a press shows, next to the stated values. The white ratio follows the skin's local shape, not its
+depth. What grows with depth is how much skin changed: the brightening inside the contact, and even more the darkening
+of its rim, which wide and narrow objects share. The screened Poisson equation sums both over a neighbourhood (P. Bhat
+et al., ECCV 2008).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import Ball, Indenter, PlacedIndenter, place
+from tacshade_edge.core.calibration.indenters import Ball, PlacedIndenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.geometry.disc import DiscRays, skin_points
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
-from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, Geometry
 
-# ℓ of the screened Poisson equation, in skin radii.
-REACH_RADII = 0.4
-# χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening.
-DARKENING_WEIGHT = 0.5
-# Added to ψ⁻, so that a contact without a visible rim has a depth (grey levels).
-DARKENING_FLOOR = 0.3
-# Part of the reach for the brightening, so that the bright spots between pins merge into one patch.
-BRIGHTENING_REACH = 0.22
-# Skin around a contact's dark rim brightens a little too: subtract this much (grey levels).
-LEAST_BRIGHTENING = 6.0
+# χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening, plus a floor (grey levels), so that a contact without a
+# visible rim has a depth; ℓ of the screened Poisson equation, in skin radii.
+DARKENING_WEIGHT, DARKENING_FLOOR, REACH_RADII = 0.5, 0.3, 0.4
+# Part of the reach for the brightening, so that the bright spots between pins merge into one patch. Skin around a
+# contact's dark rim brightens a little too: subtract this much (grey levels).
+BRIGHTENING_REACH, LEAST_BRIGHTENING = 0.22, 6.0
 # Radius of a usual ball, in skin radii.
 _USUAL_BALL_RADII = 0.3
 
 
 def screened_poisson(change: F32, reach_cells: float) -> F32:
-    """Solution ψ of ψ - ℓ² ∇²ψ = change, by a cosine transform (mirrored borders): a mean over a neighbourhood of ℓ
-    cells.
-    """
+    """Solve ψ - ℓ² ∇²ψ = change by a cosine transform (mirrored borders): a mean over a neighbourhood of ℓ cells."""
     rows, cols = change.shape
     even = cv2.copyMakeBorder(change, 0, rows % 2, 0, cols % 2, cv2.BORDER_REPLICATE)  # cv2.dct takes even sizes
     spectrum = cv2.dct(even)
@@ -68,8 +59,7 @@ def screened_change(maps: GreyMaps, reach_cells: float) -> F32:
 
 def screened_brightening(maps: GreyMaps, reach_cells: float) -> F32:
     """Screened brightening inside the contacts, one patch for each; grey levels."""
-    g_d = _finite_change(maps)
-    bright = np.maximum(g_d - np.float32(LEAST_BRIGHTENING), 0)
+    bright = np.maximum(_finite_change(maps) - np.float32(LEAST_BRIGHTENING), 0)
     return _within_disc(bright, BRIGHTENING_REACH * reach_cells)
 
 
@@ -96,9 +86,14 @@ class PressObservation:
     indenter: str = ""  # its name; empty for a ball
     touch_mm: float = 0.0  # depth at which another indenter first touches the skin
     reach_mm: float = 0.0  # greatest distance from (x, y) at which another indenter may brighten the skin most
-    ball_factor: float = math.nan  # `PressView.ball_factor`; NaN if no network saw a ball
-    misfit_ratio: float = 1.0
-    is_seen: bool = False  # whether a network located the press, far more exactly than the brightening
+    seen_depth_mm: float = math.nan  # greatest height that a network sees; it locates the press far more exactly
+    ball_factor: float = math.nan  # radius that fits the heights best, at any factor on them, over the stated one
+    misfit_ratio: float = 1.0  # how many times worse the stated radius fits
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether a network saw and located the press."""
+        return math.isfinite(self.seen_depth_mm)
 
     @property
     def place_mm(self) -> tuple[float, float]:
@@ -122,37 +117,29 @@ def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPr
     brightest = np.unravel_index(int(np.argmax(bright)), bright.shape)
     height = np.full(change.shape, press.depth_mm, dtype=np.float32)
     located = skin_points(height, preprocessor.rays, geometry)[brightest]
-    indenter, radius_mm, touch_mm, reach_mm = "", press.radius_mm, 0.0, 0.0
-    if press.indenter is not None:
-        placed = placed_indenter(press, press.indenter, geometry)
-        indenter, radius_mm = press.indenter.name, _USUAL_BALL_RADII * geometry.skin_radius_mm
-        touch_mm = placed.first_touch_mm(geometry.skin_radius_mm)
-        reach_mm = _reach_mm(placed, preprocessor.rays, geometry)
-    return PressObservation(
+    made = PressObservation(
         name=press.name,
         change_grey=max(float(change.max()), 1e-3),
         brightening_grey=max(float(bright.max()), 0.1),
         bright_mm2=max(float(np.count_nonzero(bright > 0.5 * bright.max())), 1.0) * preprocessor.cell_mm2,
         located_x_mm=float(located[0]),
         located_y_mm=float(located[1]),
-        radius_mm=radius_mm,
+        radius_mm=press.radius_mm,
         depth_mm=press.depth_mm,
         x_mm=press.x_mm,
         y_mm=press.y_mm,
-        indenter=indenter,
-        touch_mm=touch_mm,
-        reach_mm=reach_mm,
     )
-
-
-def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -> PlacedIndenter:
-    """The placed indenter of a press without a ball. Raises ConfigError if the press states no place."""
-    if press.x_mm is None or press.y_mm is None:
-        raise ConfigError(
-            f"{press.name}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
-        )
-    angles = press.yaw_deg, press.tilt_x_deg, press.tilt_y_deg
-    return place(indenter, geometry.skin_radius_mm, press.x_mm, press.y_mm, press.depth_mm, *angles)
+    if press.indenter is None:
+        return made
+    placed = press.placed(geometry.skin_radius_mm)
+    assert isinstance(placed, PlacedIndenter)
+    return replace(
+        made,
+        radius_mm=_USUAL_BALL_RADII * geometry.skin_radius_mm,
+        indenter=press.indenter.name,
+        touch_mm=placed.first_touch_mm(geometry.skin_radius_mm),
+        reach_mm=_reach_mm(placed, preprocessor.rays, geometry),
+    )
 
 
 def _reach_mm(placed: PlacedIndenter, rays: DiscRays, geometry: Geometry) -> float:
@@ -176,7 +163,6 @@ def position_mae_mm(observations: Sequence[PressObservation]) -> float:
 def first_touch_mm(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
     """Depth (as in PRESSES.csv) at which each indenter first touches, mm: for a ball 0 on the axis, less off it."""
     r = geometry.skin_radius_mm
-    balls = (Ball(*o.place_mm, 0.0, o.radius_mm) for o in observations)
     return np.array(
-        [o.touch_mm if o.indenter else b.first_touch_mm(r) for o, b in zip(observations, balls, strict=True)]
+        [o.touch_mm if o.indenter else Ball(*o.place_mm, 0, o.radius_mm).first_touch_mm(r) for o in observations]
     )

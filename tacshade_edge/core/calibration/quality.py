@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
+from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Fit, Geometry
 
@@ -32,20 +33,7 @@ _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
 
 
-class Pressed(Protocol):
-    """What counts in a press: place, depth and ball radius in mm, and the indenter's name, empty for a ball."""
-
-    @property
-    def place_mm(self) -> tuple[float, float]: ...
-    @property
-    def depth_mm(self) -> float: ...
-    @property
-    def radius_mm(self) -> float: ...
-    @property
-    def indenter(self) -> str: ...
-
-
-def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[str, ...]:
+def missing_coverage(presses: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
     """A line of advice for each gap in the presses."""
     places = np.array([press.place_mm for press in presses])
     depths = np.array([press.depth_mm for press in presses])
@@ -71,54 +59,34 @@ def _missing_places(places: F64, geometry: Geometry) -> str:
     reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
     if rms_mm < _LEAST_RMS_RHO * visible_mm:
         x_mm, y_mm = (round(float(v)) for v in middle)
-        return (
-            f"the presses lie close together, around x {x_mm}, y {y_mm} mm: "
-            f"depth elsewhere is a guess; add presses {reach}"
-        )
-    side_mm = _SIDE_RHO * visible_mm
-    empty = {
-        "at x < 0": places[:, 0].min() > -side_mm,
-        "at x > 0": places[:, 0].max() < side_mm,
-        "at y < 0": places[:, 1].min() > -side_mm,
-        "at y > 0": places[:, 1].max() < side_mm,
-    }
-    sides = " or ".join(side for side, is_empty in empty.items() if is_empty)
-    return f"no press lies {sides}: add some {reach}" if sides else ""
+        return f"the presses lie close together, around x {x_mm}, y {y_mm} mm: add some {reach}"
+    low, high = places.min(axis=0), places.max(axis=0)
+    extremes = {"x < 0": -low[0], "x > 0": high[0], "y < 0": -low[1], "y > 0": high[1]}
+    sides = " or ".join(side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm)
+    return f"no press lies at {sides}: add some {reach}" if sides else ""
 
 
 def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
     shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
     if high_mm < _DEPTH_RATIO * low_mm:
-        return (
-            f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: other depths are a guess; "
-            f"add some from {shallow_mm:.1f} to {deep_mm:.1f} mm"
-        )
+        wanted = f"{shallow_mm:.1f} to {deep_mm:.1f} mm"
+        return f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: add some from {wanted}"
     if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
-        return (
-            f"no press is deeper than {high_mm:.1f} mm, so deeper contacts saturate; add some down to {deep_mm:.1f} mm"
-        )
+        return f"no press is deeper than {high_mm:.1f} mm: add some down to {deep_mm:.1f} mm"
     return ""
 
 
-def _missing_sizes(presses: Sequence[Pressed], geometry: Geometry) -> str:
+def _missing_sizes(presses: Sequence[PressObservation], geometry: Geometry) -> str:
     indenters = {press.indenter for press in presses}
-    if len(indenters) > 1:
-        return ""
     radii = [press.radius_mm for press in presses if not press.indenter]
-    if radii:
-        return _missing_ball_radii(min(radii), max(radii), geometry)
-    return f"all presses use {indenters.pop()}: other shapes and sizes are less certain; add balls or another indenter"
-
-
-def _missing_ball_radii(small_mm: float, large_mm: float, geometry: Geometry) -> str:
-    if large_mm >= _BALL_RADIUS_RATIO * small_mm:
+    if len(indenters) > 1 or (radii and max(radii) >= _BALL_RADIUS_RATIO * min(radii)):
         return ""
-    if small_mm == large_mm:
-        radii = f"all balls have a radius of {small_mm:g} mm"
-    else:
-        radii = f"all balls have radii of {small_mm:g} to {large_mm:g} mm"
     low_mm, high_mm = (part * geometry.skin_radius_mm for part in _BALL_RADII)
-    return f"{radii}: smaller and larger things are less certain; add balls of {low_mm:.0f} to {high_mm:.0f} mm"
+    used = indenters.pop()
+    if radii:
+        used = f"balls of radius {min(radii):g}{f' to {max(radii):g}' if max(radii) > min(radii) else ''} mm"
+    wanted = f"balls of {low_mm:.0f} to {high_mm:.0f} mm"
+    return f"all presses use {used}: other sizes and shapes are less certain; add {wanted}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +107,7 @@ UNCALIBRATED = Quality(
 
 
 def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]) -> Quality:
-    """Grade a fit to presses, given advice on what they do not cover, and the depth error of each in the graded
-    profile.
-    """
+    """Grade a fit to presses, given what they do not cover, and the depth error of each in the graded profile."""
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
             "poor",
@@ -150,11 +116,9 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
         )
     profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
     depth, agreement = profile.depth_mae_mm / scale, fit.agreement_mae_mm / scale
-    grade: Grade = "good"
-    if depth > _DEPTH_GOOD_MM or agreement > _AGREEMENT_GOOD_MM or missing:
-        grade = "fair"
-    if depth > _DEPTH_FAIR_MM or agreement > AGREEMENT_FAIR_MM:
-        grade = "poor"
+    is_good = depth <= _DEPTH_GOOD_MM and agreement <= _AGREEMENT_GOOD_MM and not missing
+    is_fair = depth <= _DEPTH_FAIR_MM and agreement <= AGREEMENT_FAIR_MM
+    grade: Grade = "poor" if not is_fair else "good" if is_good else "fair"
     line = (
         f"{grade}: depth is within {_rounded_up(profile.depth_mae_mm)} mm of the stated depth on average, "
         f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on held-out presses (profile {GRADED_PROFILE})"

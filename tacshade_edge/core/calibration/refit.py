@@ -1,17 +1,11 @@
-"""Refit a learned profile to known presses in closed form, and measure its errors on presses left out of the refit.
-
-A network trained on many sensors is off on a given one by a nearly constant factor. Each press shows the factor where
-the indenter's surface is known and the network sees contact. The mean of the logarithms is robust against wrong presses
-(P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread allows, and as shapes differ: a small
-factor says more about the shape than about the sensor, so it is nearly dropped, and a large one stays. Its own square
-is the prior's variance (empirical Bayes). Balls show little more: corrections by depth and place fit the balls better,
-but not other shapes (tools/training/README.md).
-
-The error scale is a sensor's factor on σ (`core.depth.sigma`). q is the quantile of errors, in σ of scale 1, that the
-90 % interval must hold, over presses left out of the fit, as in split conformal prediction (Vovk, Gammerman and Shafer,
-Algorithmic Learning in a Random World, 2005). Presses differ from later contacts: errors on other shapes are larger,
-and a sensor with few presses is less unusual than it seems. So a line fitted on simulated sensors converts log q to the
-logarithm of the scale.
+"""Refit a learned profile to known presses in closed form, and measure its errors on presses left out of the refit. A
+network is off on a sensor that it never saw by a nearly constant factor. Each press shows it where the indenter's
+surface is known and the network sees contact. The mean of the logarithms is robust (P. J. Huber, Ann. Math. Stat. 35,
+1964) and shrinks towards 0 as their spread allows, and as shapes differ: a small factor is nearly dropped, a large one
+stays; its own square is the prior's variance (empirical Bayes). The error scale is a sensor's factor on σ
+(`core.depth.sigma`), from the quantile of errors that the 90 % interval must hold, as in split conformal prediction
+(Vovk, Gammerman and Shafer 2005). Later contacts have other shapes and larger errors, so a line fitted on simulated
+sensors converts the quantile to the scale.
 """
 
 from __future__ import annotations
@@ -22,9 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import Placed, ball_along, known_height, stated_ball
+from tacshade_edge.core.calibration.indenters import Placed, ball_along, known_height
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation import placed_indenter
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
 from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel, sigma_of_scale_1, terms
@@ -52,14 +45,8 @@ PROPORTIONAL_MM = 0.5
 # No known sensor needs a factor outside this range.
 FACTOR_RANGE = (0.3, 3.0)
 _SCALE_RANGE = (0.2, 20.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PressRows:
-    """One press in the regression, at the cells used: weighted `target` should equal the factor times `found`."""
-
-    found: F64
-    target: F64
+# Part of the median press's disc: a warning is due if the network cannot explain more than this.
+_UNLIKE_PART = 0.03
 
 
 def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
@@ -73,17 +60,18 @@ def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
     return np.asarray(middle / np.linalg.norm(middle))
 
 
-def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRows | None:
-    """Make the rows of a press for `fit_factor`; None if the network's contact and the indenter hardly overlap."""
-    height, scale = inverse.height_mm, skin_scale(geometry)
+def press_factor(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[float, float] | None:
+    """The weight of a press in `fit_factor` and its factor; None if contact and indenter hardly overlap."""
     truth, use = known_cells(inverse, geometry, placed)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None
     # All presses count alike, except that deep ones count a little less: their error in mm is larger.
-    depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / scale
+    depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / skin_scale(geometry)
     weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
-    return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
+    found, target = (each[use].astype(np.float64) * weight for each in (inverse.height_mm, truth))
+    square = float(found @ found)
+    return square, float(found @ target) / square
 
 
 def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F32, Bool]:
@@ -95,15 +83,14 @@ def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F
     return truth, use
 
 
-def fit_factor(presses: Sequence[PressRows]) -> float | None:
-    """Fit the factor on h by a robust mean over presses and a prior; None if there are too few presses."""
+def fit_factor(presses: Sequence[tuple[float, float]]) -> float | None:
+    """Fit the factor on h by a robust mean over presses (`press_factor`) and a prior; None if there are too few."""
     if len(presses) < LEAST_PRESSES:
         return None
-    squares = np.array([float(press.found @ press.found) for press in presses])
-    ratios = np.array([float(press.found @ press.target) for press in presses]) / squares
-    logs = np.log(np.maximum(ratios, np.finfo(float).tiny))
-    middle = _weighted_median(logs, squares)
-    deviation = max(1.4826 * _weighted_median(np.abs(logs - middle), squares), _LEAST_DEVIATION)
+    squares, factors = np.array(presses).T
+    logs = np.log(np.maximum(factors, np.finfo(float).tiny))
+    middle = _weighted_quantile(logs, squares, 0.5)
+    deviation = max(1.4826 * _weighted_quantile(np.abs(logs - middle), squares, 0.5), _LEAST_DEVIATION)
     for _ in range(_ITERATIONS):
         weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
         middle = float(weight @ logs / weight.sum())
@@ -112,10 +99,10 @@ def fit_factor(presses: Sequence[PressRows]) -> float | None:
     return min(max(math.exp(middle**3 / (middle**2 + doubt)), FACTOR_RANGE[0]), FACTOR_RANGE[1])
 
 
-def _weighted_median(values: F64, weights: F64) -> float:
+def _weighted_quantile(values: F64, weights: F64, part: float) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(below, 0.5 * below[-1])])
+    return float(values[order][np.searchsorted(below, part * below[-1])])
 
 
 def errors_in_sigma(
@@ -143,28 +130,20 @@ def press_q(presses: Sequence[F64]) -> float:
     """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1; above 0."""
     errors = np.concatenate(presses)
     weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
-    order = np.argsort(errors)
-    below = np.cumsum(weights[order])
-    found = float(errors[order][np.searchsorted(below, 0.9 * below[-1])])
-    return max(found / INTERVAL_90, 1e-3)
+    return max(_weighted_quantile(errors, weights, 0.9) / INTERVAL_90, 1e-3)
 
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """A refitted profile: the factor on h, and of each press with the others' factor its name and greatest h found less
-    the true one; the greatest h that the network finds without a refit, and the indenter at its stated place; the part
-    of the median press's disc that the network cannot explain as this sensor's skin (0 to 1); messages about presses
-    left out for that; the factor on σ (None if the network has no model of its errors).
-    """
+    """A profile refitted to presses."""
 
-    factor: float
+    factor: float  # on h
     fit: ProfileFit
-    errors_mm: tuple[tuple[str, float], ...]
-    found_mm: tuple[float, ...]
-    placed: tuple[Placed, ...]
-    untrusted_part: float
-    left_out: tuple[str, ...]
-    error_scale: float | None
+    errors_mm: tuple[tuple[str, float], ...]  # name of a press, and greatest h found with the others' factor less true
+    found_mm: tuple[float, ...]  # greatest h without a refit
+    placed: tuple[Placed, ...]  # indenters at their stated places
+    error_scale: float | None  # factor on σ; None if the network has no model of its errors
+    warnings: tuple[str, ...]
 
 
 def refit_profile(
@@ -174,42 +153,39 @@ def refit_profile(
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
-    rows, seen, found_mm, placed, names, parts, left_out = [], [], [], [], [], [], []
     inside = rays_in_image(solver.grid, calibration).inside
+    rows, used, parts, warnings = [], [], [], []
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
         if parts[-1] > UNTRUSTED_UNLEARNT:
-            left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
+            warnings.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
             continue
         at = placed_press(geometry, inverse, press)
-        row = press_rows(inverse, geometry, at) if at else None
-        if at and row:
+        if at and (row := press_factor(inverse, geometry, at)):
             rows.append(row)
-            seen.append(inverse)
-            found_mm.append(inverse.height_mm[inverse.contact_logit > 0].max())
-            placed.append(at)
-            names.append(press.name)
+            used.append((press.name, inverse, at, inverse.height_mm[inverse.contact_logit > 0].max()))
     factor = fit_factor(rows)
     if factor is None:
         return None
+    if (unlike := float(np.median(parts))) > _UNLIKE_PART:
+        explained = f"they do not explain {100 * unlike:.0f} % of the median press"
+        warnings.append(f"unlike the sensors that the networks know: {explained}")
     errors, in_sigma = [], []
-    for k, (found, at) in enumerate(zip(found_mm, placed, strict=True)):
+    for k, (_, inverse, at, found) in enumerate(used):
         without = fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
         errors.append(float(found * np.float32(without)) - at.depth_max_mm(geometry.skin_radius_mm))
         if network.sigma is not None:
-            in_sigma.append(_errors_in_sigma(network.sigma, seen[k], without, at, inside, geometry))
+            in_sigma.append(_errors_in_sigma(network.sigma, inverse, without, at, inside, geometry))
     off = np.abs(errors)
-    fit = ProfileFit(len(rows), float(off.mean()), float(off.max()))
     return Refit(
         factor,
-        fit,
-        tuple(zip(names, errors, strict=True)),
-        tuple(float(found) for found in found_mm),
-        tuple(placed),
-        float(np.median(parts)),
-        tuple(left_out),
+        ProfileFit(len(rows), float(off.mean()), float(off.max())),
+        tuple((name, error) for (name, *_), error in zip(used, errors, strict=True)),
+        tuple(float(found) for *_, found in used),
+        tuple(at for _, _, at, _ in used),
         None if network.sigma is None else error_scale(network.sigma, in_sigma),
+        tuple(warnings),
     )
 
 
@@ -226,9 +202,7 @@ def _errors_in_sigma(
 
 def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> Placed | None:
     """The indenter of a press at its stated place; a ball without one is located, or None if that fails."""
-    if press.indenter is not None:
-        return placed_indenter(press, press.indenter, geometry)
-    if press.x_mm is not None and press.y_mm is not None:
-        return stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)
+    if press.indenter or press.x_mm is not None:
+        return press.placed(geometry.skin_radius_mm)
     along = contact_direction(geometry, inverse)
-    return None if along is None else ball_along(geometry, along, press.depth_mm, press.radius_mm)
+    return None if along is None else ball_along(geometry.skin_radius_mm, along, press.depth_mm, press.radius_mm)

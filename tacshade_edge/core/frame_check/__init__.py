@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from tacshade_edge.core.frame_check.camera import CameraJudge
-from tacshade_edge.core.frame_check.light import LightJudge
-from tacshade_edge.core.frame_check.picture import Measured, PictureJudge, size_reason
+from tacshade_edge.core.frame_check.picture import LightJudge, Measured, PictureJudge, size_reason
 from tacshade_edge.core.frame_check.skin import PlainSkinJudge
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.white import eighth
@@ -17,11 +16,9 @@ __all__ = ["Judges", "Measured", "PictureJudge", "first_reason", "plain_judges",
 
 
 class Judges:
-    """The judges of one sensor's images: those that need no network, in the order in which they are asked.
-
-    `reference_grey` (uint8 (H, W)): mean of the references. `pitch_px`: marker pitch, for the plain tests of the skin;
-    None if a network judges the skin. `camera_px`: width of a pixel here in the camera's pixels, in which reasons are
-    given. `unloaded`: whether nothing touches the skin in the judged images.
+    """The judges of one sensor's images that need no network, in the order in which they are asked. `pitch_px`: for the
+    plain tests of the skin; None if a network judges it. `camera_px`: width of a pixel here in the camera's, in which
+    reasons are given. `unloaded`: nothing touches the skin in the images.
     """
 
     def __init__(

@@ -1,9 +1,6 @@
-"""Judge the camera's place: has it moved, by what cannot move with a press?
-
-In a frame that is what lies around the disc. References, presses, new references and `doctor`, which see the skin at
-rest or mostly so, measure the drift of the pattern's part that moves as one piece: a coarse shift by phase correlation
-(Kuglin and Hines 1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow
-(RANSAC, Fischler and Bolles 1981).
+"""Judge the camera's place. In a frame that is by what lies around the disc. References and presses measure the drift
+of the pattern's part that moves as one piece: a coarse shift by phase correlation (Kuglin and Hines 1975), points
+tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC).
 """
 
 from __future__ import annotations
@@ -14,8 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tacshade_edge.core.frame_check.light import LIGHT_HIGH, LIGHT_LOW, light_drift_reason
-from tacshade_edge.core.frame_check.picture import Measured
+from tacshade_edge.core.frame_check.picture import LIGHT_HIGH, LIGHT_LOW, Measured, light_drift_reason
 from tacshade_edge.core.image.white import eighth, median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, frozen
@@ -47,10 +43,7 @@ SHIFT_PART, RIM_PART = 0.0035, 0.012
 
 
 class CameraJudge:
-    """Judges what lies around the disc by the mean reference, uint8 (H, W).
-
-    `camera_px` is the width of a pixel here in the camera's pixels, in which reasons are given.
-    """
+    """Judges what lies around the disc by the mean reference; `camera_px` as in `Judges`."""
 
     def __init__(self, reference_grey: U8, disc: Disc, camera_px: int = 1) -> None:
         usual = eighth(reference_grey)
@@ -130,9 +123,8 @@ def _vertex(values: F32, at: int) -> float:
 
 @frozen
 class Look:
-    """The appearance of a sensor, prepared for comparison. `grey`: uint8 (H, W). `points` (float32 (N, 2)): column and
-    row of the tracked points. `level`, `contrast` (float32 (H, W)): local mean and standard deviation of the grey at
-    each pixel.
+    """A reference, prepared for comparison: tracked points (col, row) (N, 2), local mean and deviation of the grey (H,
+    W).
     """
 
     grey: U8
@@ -145,24 +137,17 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """The change of an image since the reference.
+    """The change of an image since the reference."""
 
-    `still_part`: part of the pattern that moved as one piece, 0 to 1; if 0, nothing was measured and all else is
-    neutral. `moved_px`: greatest movement of a point of the visible circle by shift, turn and zoom together. `row_px`,
-    `col_px`: shift of the circle's centre. `light`: ratio of the brightness to the reference's. `uneven`: standard
-    deviation of the ratio's logarithm over the disc. `contrast`: ratio of the contrast to the reference's, beyond the
-    effect of the light: below 1 is blur.
-    """
-
-    still_part: float = 0.0
-    moved_px: float = 0.0
-    row_px: float = 0.0
+    still_part: float = 0.0  # part of the pattern that moved as one piece; if 0, nothing was measured: all is neutral
+    moved_px: float = 0.0  # greatest movement of a point of the visible circle by shift, turn and zoom together
+    row_px: float = 0.0  # shift of the circle's centre
     col_px: float = 0.0
     turn_deg: float = 0.0
     zoom: float = 1.0
-    light: float = 1.0
-    uneven: float = 0.0
-    contrast: float = 1.0
+    light: float = 1.0  # ratio of the brightness to the reference's
+    uneven: float = 0.0  # standard deviation of its logarithm over the disc
+    contrast: float = 1.0  # ratio of the contrast to the reference's, beyond the effect of the light: below 1 is blur
 
     @property
     def shift_px(self) -> float:

@@ -1,7 +1,5 @@
-"""Judge the skin: do all cells show this sensor's, however deformed? The network's map alone says so.
-
-Where no network runs (references, presses, `paper`), plain tests find rows without markers and, on a skin at rest, a
-row of the disc that does not continue the rows above.
+"""Judge the skin: do all cells show this sensor's, however deformed? A network's map says so. Without one, plain tests
+find rows without markers and, on a skin at rest, a row of the disc that does not continue the rows above.
 """
 
 from __future__ import annotations
@@ -59,9 +57,8 @@ def untrusted_part(untrusted: Bool, inside: Bool) -> float:
 
 
 def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) -> float:
-    """Part of the disc in rows that are untrusted across it, counting cells above the `least` log odds.
-
-    0 for a disc without cells; `untrusted_logit` is float32 (M, M), `inside` bool (rows, cols).
+    """Part of the disc in rows that are untrusted across it, counting cells above the `least` log odds; 0 for an empty
+    disc.
     """
     coarse: Bool = untrusted_logit > least
     if not coarse.any():
@@ -75,10 +72,8 @@ def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) 
 
 
 class PlainSkinJudge:
-    """Judges images without a network, by the mean reference, uint8 (H, W), and the disc's mask, bool (H, W).
-
-    `camera_px` is the width of a pixel here in the camera's pixels, in which reasons are given. `unloaded`: nothing
-    touches the skin in the judged images. A pressed pattern along the camera's rows would look torn.
+    """Judges images without a network; parameters as of `Judges`. A pressed pattern along the camera's rows would look
+    torn.
     """
 
     def __init__(self, reference_grey: U8, mask: Bool, disc: Disc, pitch_px: float, camera_px: int, unloaded: bool):

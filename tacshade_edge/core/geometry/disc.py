@@ -69,8 +69,8 @@ def _cells(first: int, size: int, step: int) -> tuple[int, int]:
 
 @frozen
 class DiscRays:
-    """The ray of each cell of a grid, and whether its pixel lies in the visible disc. u, v are the slope of a pinhole's
-    ray (mm per mm of z); orthographic, the ray's x and y in mm.
+    """The ray of each cell of a grid, and whether it lies in the disc. u, v: a pinhole's slopes (orthographic: x, y in
+    mm).
     """
 
     inside: Bool
@@ -127,11 +127,9 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
-    """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN stays NaN.
-
-    The paper's eq. 2 gives z from (x, y) under an orthographic camera. A pinhole's ray meets the sphere of radius r - h
-    twice; the skin is the farther root. A radicand below zero (a height that its ray cannot reach) counts as 0, which
-    gives the ray's point nearest to the sphere.
+    """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN stays NaN. Eq. 2 for an
+    orthographic camera; a pinhole's ray meets the sphere of radius r - h twice, and the skin is the farther root. A
+    height that its ray cannot reach gives the ray's point nearest to the sphere.
     """
     rho = np.float32(geometry.skin_radius_mm) - height_mm
     u, v = rays.u, rays.v
@@ -154,9 +152,7 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
-    """Cells whose rays pass nearest to points (N, 3) of the skin, the inverse of `skin_points` without the heights;
-    points outside the grid are ignored.
-    """
+    """Cells whose rays pass nearest to points (N, 3) of the skin; points outside the grid are ignored."""
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a point next to the lens is ignored too
@@ -170,9 +166,7 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:
-    """Area of skin that each cell of a grid of points (`skin_planes`) covers, by central differences; 0 where a
-    neighbour is NaN.
-    """
+    """Area of skin of each cell of `skin_planes`, by central differences; 0 where a neighbour is NaN."""
     along, across = (_steps(planes_mm, axis) for axis in (2, 1))
     # Component i of a cross product combines components i + 1 and i + 2.
     normal = along[1:4] * across[2:5]

@@ -22,10 +22,9 @@ def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
-    """What is known of a sensor at each cell before any frame, (6, cells, cells): x and y in disc radii; shift in x and
-    y of the image of a skin point that moves by one disc radius (in mm) towards the camera along its axis, in disc
-    radii; cosine between the camera's ray and the undeformed skin's normal; marker pitch in tenths of the disc's
-    radius.
+    """What is known of a sensor before any frame, (6, cells, cells): x and y in disc radii; shift in x and y of the
+    image of a skin point that moves by a disc radius towards the camera, in disc radii; cosine between ray and skin's
+    normal; marker pitch in tenths of the disc's radius.
     """
     disc = geometry.disc
     axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
@@ -56,7 +55,5 @@ def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
 
 
 def skin_scale(geometry: Geometry) -> float:
-    """The factor for a length stated for a skin of radius 20 mm (squared: for an area), as a sensor scaled as a whole
-    shows its camera the same images.
-    """
+    """The factor for a length stated for a skin of radius 20 mm (squared: for an area)."""
     return geometry.skin_radius_mm / 20

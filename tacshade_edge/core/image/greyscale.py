@@ -25,22 +25,10 @@ def to_grey(image: U8, space: U8 | None = None) -> U8:
     return grey
 
 
-def white_ratio(white_sum: F32, total: F32) -> F32:
-    """Eq. 1: ĝ = 255 s_w / s_t, from the sums of white (0 or 1) and of the disc's pixels in a square window at each
-    cell of a grid: float32 (rows, cols), 0 to 255; 0 where the window holds no pixel of the disc.
-
-    Only pixels inside the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
-    """
-    g: F32 = (np.float32(255) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
-    return g
-
-
 def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) -> Floats:
-    """Compute the image u, (rows, cols), that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight).
-
-    The model is that of Rudin, Osher and Fatemi, the algorithm A. Chambolle's (J. Math. Imaging Vis. 20, 89-97, 2004).
-    The operations and their order are those of scikit-image's ``denoise_tv_chambolle``, so the bits are the same (the
-    tests compare them), without its import, which costs 60 MB of memory and a second on a fast machine.
+    """Compute the image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight) (Rudin, Osher and Fatemi; A.
+    Chambolle, J. Math. Imaging Vis. 20, 2004). Operations and order are those of scikit-image's, so the bits are the
+    same, without its import, which costs 60 MB and a second.
     """
     # The rows are flattened, so that a shift of the whole gives the neighbours: NumPy is several times slower on slices
     # of a two-dimensional array. A 0 precedes the first row and pixel.
@@ -79,12 +67,8 @@ def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) ->
 
 
 def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
-    """Total-variation denoising of the white ratio, Fig. 4(d).
-
-    The mean of the inside fills the outside of the disc, so that its rim is not an edge of the image.
-
-    `g`: float32 (rows, cols), 0 to 255. `inside`: bool (rows, cols). `weight`: in units of g/255; 0 leaves the map
-    unchanged. Returns float32 (rows, cols), 0 to 255.
+    """Total-variation denoising of the white ratio, Fig. 4(d), with `weight` in units of g/255; 0 leaves it unchanged.
+    The mean of the inside fills the outside of the disc, so that its rim is not an edge.
     """
     if weight == 0 or not inside.any():
         return g
@@ -94,9 +78,7 @@ def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
 
 
 def grey_difference(g: F32, g0: F32, inside: Bool, sign: float) -> F32:
-    """Eq. 9, g_d = g - g0, signed so that contact is positive (`sign` -1 for a sensor that darkens). Returns float32
-    (rows, cols), -255 to 255; 0 outside the disc.
-    """
+    """Eq. 9, g_d = g - g0, signed so that contact is positive; 0 outside the disc."""
     difference: F32 = np.where(inside, np.float32(sign) * (g - g0), np.float32(0))
     return difference
 
@@ -114,10 +96,7 @@ def normalise(values: F32, inside: Bool) -> F32:
 
 
 def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
-    """Eq. 10 and the normalisation after it: g_hn from g_d and g0.
-
-    Apply the gate first: without contact this stretches noise to the full range.
-
-    Returns float32 (rows, cols), 0 to 1; 0 outside the disc.
+    """Eq. 10 and its normalisation: g_hn, 0 to 1. Apply the gate first: without contact this stretches noise to that
+    range.
     """
     return normalise(normalise(g_d, inside) * g0, inside)

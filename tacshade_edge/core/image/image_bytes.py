@@ -1,6 +1,5 @@
-"""Decode an image's bytes once its header states a size that a camera can have.
-
-OpenCV's decoders trust the header: without this check, 875 kB of PNG become 1.8 GB.
+"""Decode an image's bytes once its header states a size that a camera can have: OpenCV's decoders trust the header, and
+make 1.8 GB of 875 kB of PNG.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.white import (
     Binariser,
     BoxSums,
-    IntegralImage,
     Integrator,
+    Total,
     halved,
     level_at,
     median,
@@ -47,26 +47,17 @@ GLARE_HALO_PITCHES = 1.0
 
 @frozen
 class Preprocessed:
-    """An image of the disc's window without glare, whose place shows the reference. `pixels` (uint8 (rows, cols)): the
-    binarised image, 0 and 1. `white`: its integral. `unseen`: part of the disc under glare, 0 to 1.
-    """
+    """The disc's window, 0 and 1, with the reference's under glare; its integral; part of the disc under glare."""
 
     pixels: U8
-    white: IntegralImage
+    white: Total
     unseen: float
 
 
 class Preprocessor:
-    """Prepares images of one sensor for every solver.
-
-    `profile`: provides resolution, stride and window; its solver does not matter. `camera`: the calibration as given,
-    in the camera's pixels. `calibration`: the calibration in working pixels: the camera's, or twice as wide if the
-    profile halves images. `camera_px`: width of a working pixel in the camera's pixels. `window`: the disc's, in
-    working pixels. `sign`: -1 for a sensor that darkens in contact, else 1. `integrator`: computes
-    `Preprocessed.white`. `grid`: grid of eq. 1, in working pixels. `rays`: rays of `grid`. `voting` (bool (rows,
-    cols)): cells with most of their window in the disc. `reference_g` (float32 (rows, cols), 0 to 255): eq. 1 of the
-    unloaded skin. `reference_white`: integral of the unloaded skin's `Calibration.reference_white`, 0 to 255.
-    `cell_mm2`: area of skin that a cell of `grid` covers.
+    """Prepares images of one sensor for every solver, with a profile's resolution, stride and window. `camera` is the
+    calibration in the camera's pixels, `calibration` in working pixels, which are twice as wide (`camera_px`) if the
+    profile halves images; `grid` is that of eq. 1, `voting` its cells with most of their window in the disc.
     """
 
     def __init__(self, calibration: Calibration, profile: Profile) -> None:
@@ -103,18 +94,18 @@ class Preprocessor:
         return grid_of_whole(self.grid) if self._halve else self.grid
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
-        """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image.
-
-        The result may use `space`, uint8 (H, W), and is then valid until `space` is used again.
+        """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image; it may use `space`, uint8 (H,
+        W).
         """
         grey = greyscale.to_grey(image, space)
         return halved_image(grey) if self._halve else grey
 
-    def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
-        """Binarise a grey working image without its glare.
+    def binarised(self, grey: U8) -> U8:
+        """Binarise the window of a grey working image, with any glare: 0 and 1."""
+        return self._binarise(self.window.cut(grey)).copy()
 
-        The result may use `space`, from ``integrator.space``, and is then valid until `space` is used again.
-        """
+    def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
+        """Binarise a grey working image without its glare; the result may use `space`, from ``integrator.space``."""
         cut = self.window.cut(grey)
         glare = self._glare.mask(cut)
         white = self._binarise(cut)
@@ -126,11 +117,8 @@ class Preprocessor:
             unseen = cv2.countNonZero(cv2.bitwise_and(self._mask, glare)) / max(cv2.countNonZero(self._mask), 1)
         return Preprocessed(white, self.integrator.integrate(white, space), unseen)
 
-    def ratio(self, white: IntegralImage) -> F32:
-        """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1: float32 (rows, cols), 0 to 255.
-
-        Only pixels of the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
-        """
+    def ratio(self, white: Total) -> F32:
+        """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1; only pixels of the disc count in both."""
         g: F32 = self._box_sums.sums(white) * self._per_total
         return g
 
@@ -145,9 +133,7 @@ class Preprocessor:
 
 @frozen
 class GreyMaps:
-    """The maps of one image on one grid. `g`, `g0` (float32 (rows, cols), 0 to 255): white ratio of the image and of
-    the unloaded skin, denoised. `g_d` (float32 (rows, cols)): eq. 9, positive in contact. `inside`: bool (rows, cols).
-    """
+    """White ratio of an image and of the unloaded skin, denoised, 0 to 255; eq. 9, positive in contact; the disc."""
 
     g: F32
     g0: F32
@@ -175,11 +161,8 @@ class GreyMapper:
 
 
 def is_halved(calibration: Calibration, profile: Profile) -> bool:
-    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough.
-
-    A network also sees a noisy camera halved: one that needs Otsu's level (`marker_field.choose_binarisation`). Its
-    pixels differ from their neighbours, which a mean over 2x2 px evens out, but a network of whole images takes for
-    torn skin.
+    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough. A network also sees a
+    noisy camera halved (one that needs Otsu's level): it would take such noise in whole images for torn skin.
     """
     side_px = min(calibration.image_height_px, calibration.image_width_px)
     wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")
@@ -197,10 +180,8 @@ def grid_of_whole(grid: Grid) -> Grid:
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:
-    """The calibration that halved images would give: the same skin, camera and light in pixels twice as wide.
-
-    Part of its white comes from the image shifted by a pixel (`MOVED_PARTS`), which pairs the pixels differently;
-    without it, a camera shifted by a pixel would look like less depth.
+    """The calibration that halved images would give. Part of its white comes from the image shifted by a pixel, which
+    pairs pixels differently; without it, a camera shifted by a pixel would look like less depth.
     """
     geometry = calibration.geometry
     at = geometry.disc
@@ -231,9 +212,7 @@ def halved_calibration(calibration: Calibration) -> Calibration:
 
 
 class GlareFinder:
-    """Finds specular spots that the reference does not have: they and their halo hide the skin. `reference_grey`,
-    `mask` (uint8 (H, W)): mean reference image and the disc (0 or 1) in its window.
-    """
+    """Finds specular spots that the reference (in its window) does not have: they and their halo hide the skin."""
 
     def __init__(self, reference_grey: U8, mask: U8, pitch_px: float) -> None:
         # The search's blocks are at most a quarter of the pitch wide.

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.geometry.disc import Grid, Window
-from tacshade_edge.types import F32, F64, I32, U8, Binarisation, frozen
+from tacshade_edge.types import F32, F64, I32, U8, Binarisation
 
 A = TypeVar("A", U8, F32)
 Total = npt.NDArray[np.int32] | npt.NDArray[np.float64]
+"""An integral image of a window with zeros around it: exact sums over the rows before i and the columns before j."""
 
 ADAPTIVE_PITCHES = 4
 """Side of the adaptive threshold's neighbourhood in marker pitches: wide enough to hold black and white everywhere,
@@ -34,15 +35,9 @@ def odd(size: float) -> int:
 
 
 class Binariser:
-    """Binarises grey images of one disc.
-
-    ``adaptive`` compares with the local mean inside the disc, so that uneven light does not matter: the mean over a box
-    of `ADAPTIVE_PITCHES` of means of 4x4 px blocks wholly inside, interpolated linearly between the blocks' middles.
-    ``global`` compares with the disc's mean, ``otsu`` with its best split.
-
-    The adaptive threshold is Q8.0 and within 2 levels of its exact value: two halvings and the interpolation round.
-
-    `mask` (uint8 (H, W)): 1 inside the disc, 0 outside. `pitch_px`: marker pitch.
+    """Binarises grey images of one disc, `mask` 0 or 1. ``adaptive`` compares with the local mean inside the disc: the
+    mean over a box of `ADAPTIVE_PITCHES` of means of 4x4 px blocks, interpolated linearly; within 2 levels, as two
+    halvings and the interpolation round. ``global`` compares with the disc's mean, ``otsu`` with its best split.
     """
 
     def __init__(self, mask: U8, method: Binarisation, pitch_px: float) -> None:
@@ -59,9 +54,7 @@ class Binariser:
         self._blocks = cv2.countNonZero(self._whole)
 
     def __call__(self, grey: U8) -> U8:
-        """Binarise an image of the mask's shape. Returns (uint8 (H, W)): 1 where white, 0 outside the disc; the next
-        call overwrites it.
-        """
+        """Binarise an image of the mask's shape: 1 where white, 0 outside the disc; the next call overwrites it."""
         rows, cols = self._shape
         cv2.bitwise_and(grey, self._opaque[:rows, :cols], dst=self._masked[:rows, :cols])
         if self._method == "adaptive":
@@ -152,19 +145,6 @@ _EXACT = 2**31
 """Integrals below this are exact in int32."""
 
 
-@frozen
-class IntegralImage:
-    """The integral image of a window's pixels, with zeros around them.
-
-    Exact: whole numbers in int32 (float64 if the image is too large for that).
-
-    `total` (int32 or float64 (rows + 2 margin + 1, cols + 2 margin + 1)): element (i, j) is the sum over the rows
-    before i and the columns before j.
-    """
-
-    total: Total
-
-
 class Integrator:
     """Makes the integral images of a window's pixels. `margin_px`: greatest reach of a box beyond the window."""
 
@@ -178,21 +158,17 @@ class Integrator:
         rows, cols = self._values.shape
         return np.empty((rows + 1, cols + 1), np.int32)
 
-    def integrate(self, values: U8, space: I32 | None = None) -> IntegralImage:
-        """Integrate an image of the window. `values`: uint8 (rows, cols). `space`: buffer from `space` that the result
-        uses if it fits, valid until `space` is used again.
-        """
+    def integrate(self, values: U8, space: I32 | None = None) -> Total:
+        """Integrate an image of the window; the result may use `space`, and then lasts until `space` is used again."""
         rows, cols, m = self.window.rows, self.window.cols, self.margin_px
         self._values[m : m + rows, m : m + cols] = values
         if values.size < _EXACT // 255 or int(values.max()) * values.size < _EXACT:
-            return IntegralImage(np.asarray(cv2.integral(self._values, space, cv2.CV_32S), np.int32))
-        return IntegralImage(np.asarray(cv2.integral(self._values, sdepth=cv2.CV_64F), np.float64))
+            return np.asarray(cv2.integral(self._values, space, cv2.CV_32S), np.int32)
+        return np.asarray(cv2.integral(self._values, sdepth=cv2.CV_64F), np.float64)
 
 
 class BoxSums:
-    """Sums integral images over boxes of odd side around the cells of a grid of whole pixels inside the window.
-    `integrator`: source of the integral images; its margin is more than half the side.
-    """
+    """Sums integral images over boxes of odd side around the cells of a grid of whole pixels inside the window."""
 
     def __init__(self, integrator: Integrator, grid: Grid, side_px: int) -> None:
         half, self._step = side_px // 2, int(grid.step_px)
@@ -203,9 +179,9 @@ class BoxSums:
         self._left, self._right = col - half, col + half + 1
         self._bands: Total = np.empty((0, 0), np.int32)  # work space
 
-    def sums(self, integral: IntegralImage) -> F32:
+    def sums(self, total: Total) -> F32:
         """The sums, float32 (grid.rows, grid.cols), exact below 2**24."""
-        total, step = integral.total, self._step
+        step = self._step
         if self._bands.shape[1] != total.shape[1] or self._bands.dtype != total.dtype:
             self._bands = np.empty((self._rows, total.shape[1]), total.dtype)
         below, above = total[self._below :: step], total[self._above :: step]
@@ -215,40 +191,35 @@ class BoxSums:
 
 
 class CellMeans:
-    """Averages over cells whose edges may cut pixels, which count as squares of constant value. `integrator`: source of
-    the integral images. `grid`: its cells are as wide as its step.
-    """
+    """Averages over a grid's cells, as wide as its step, whose edges may cut pixels: squares of constant value."""
 
     def __init__(self, integrator: Integrator, grid: Grid) -> None:
         window, m = integrator.window, integrator.margin_px
-        self._rows = _edges(grid.row0 - window.row0, grid.step_px, grid.rows, window.rows, m)
-        self._cols = _edges(grid.col0 - window.col0, grid.step_px, grid.cols, window.cols, m)
+        self._rows = _Edges(grid.row0 - window.row0, grid.step_px, grid.rows, window.rows, m)
+        self._cols = _Edges(grid.col0 - window.col0, grid.step_px, grid.cols, window.cols, m)
         self._per_area = np.float32(1 / grid.step_px**2)
 
-    def means(self, integral: IntegralImage) -> F32:
-        """The means, float32 (grid.rows, grid.cols).
-
-        Exact to 1e-4 of the greatest value. Pixels beyond the window are 0.
-        """
-        both = self._cols.across(self._rows.between(integral.total))
+    def means(self, total: Total) -> F32:
+        """The means, float32 (rows, cols), exact to 1e-4 of the greatest value; pixels beyond the window are 0."""
+        both = self._cols.across(self._rows.between(total))
         return np.multiply(both.T, self._per_area, order="C")
 
 
 class _Edges:
-    """Positions of cell edges along an axis of an integral image: `part` of the way from line `low` to the next. `low`:
-    int32 (n + 1,). `part`: float32 (n + 1,).
-    """
+    """Edges of cells along an axis of an integral image: `_part` of the way from a line to the next."""
 
-    def __init__(self, low: I32, part: F32) -> None:
+    def __init__(self, first: float, step: float, count: int, size: int, margin: int) -> None:
+        # Pixel i spans i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
+        edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
+        low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
         self._both = np.concatenate((low, low + 1))
-        self._part = part[:, None]
+        self._part = (edge - low).astype(np.float32)[:, None]
         self._taken: Total | F32 = np.empty((0, 0), np.float32)
         self._turned: F32 = np.empty((0, 0), np.float32)
 
     def between(self, lines: Total | F32) -> F32:
-        """Integrate along axis 0 from each edge to the next; the next call overwrites the result.
-
-        It takes differences first, because they are small and exact in float32.
+        """Integrate along axis 0 from each edge to the next, differences first, which are exact in float32; the next
+        call overwrites the result.
         """
         edges, width = len(self._part), lines.shape[1]
         if self._taken.shape[1] != width or self._taken.dtype != lines.dtype:
@@ -273,10 +244,3 @@ class _Edges:
             self._turned = np.empty(lines.shape[::-1], np.float32)
         cv2.transpose(lines, dst=self._turned)
         return self.between(self._turned)
-
-
-def _edges(first: float, step: float, count: int, size: int, margin: int) -> _Edges:
-    # Pixel i spans i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
-    edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
-    low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
-    return _Edges(low, (edge - low).astype(np.float32))

@@ -13,7 +13,7 @@ from support.networks import fitted_with
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
-from tacshade_edge.core.calibration.machine import first_touch_mm
+from tacshade_edge.core.calibration.indenters import Ball
 from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.press import OBJECTS, Press
@@ -107,7 +107,7 @@ def test_depths_as_travel_from_first_touch_are_refused_unless_said_so(
     header, *rows = rows_of(words)
     travels = []
     for image, indenter, radius, depth, x, y in rows:
-        travel_mm = float(depth) - first_touch_mm(float(radius), 20.0, float(x), float(y))
+        travel_mm = float(depth) - Ball(float(x), float(y), 0.0, float(radius)).first_touch_mm(20.0)
         if travel_mm > 0:
             travels.append([image, indenter, radius, str(travel_mm), x, y])
     command = ["calibrate", *with_table(words, tmp_path / "travel.csv", [header, *travels])]

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
-from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
@@ -64,3 +69,44 @@ def test_the_fit_is_of_the_presses_that_were_used() -> None:
     assert alone.fit is not None
     assert not alone.fit.profiles
     assert not alone.factors
+
+
+def without_numbers(lines: Sequence[str]) -> list[str]:
+    return [re.sub(r"-?\d+(\.\d+)?", "#", line) for line in lines]
+
+
+def calibrated_at(radius_mm: float) -> CalibrationResult:
+    """`HALF` as if it had another radius; depths too great, one depth and one place wrong."""
+    by = radius_mm / HALF.skin_radius_mm
+    stated = sensor_of(replace(HALF, skin_radius_mm=radius_mm, camera_distance_mm=by * (HALF.camera_distance_mm or 0)))
+
+    def press(k: int, p: KnownPress) -> KnownPress:
+        return replace(
+            p,
+            radius_mm=by * p.radius_mm,
+            depth_mm=by * (p.depth_mm + 1.0 + 2.5 * (k == 6)),
+            x_mm=by * ((p.x_mm or 0.0) + 4.5 * (k == 9)),
+            y_mm=by * (p.y_mm or 0.0),
+        )
+
+    table = [press(k, p) for k, p in enumerate(presses())]
+    return calibrate(stated, references(), table, networks={"accurate": load_networks()["accurate"]})
+
+
+def test_a_sensor_that_is_scaled_as_a_whole_is_calibrated_alike() -> None:
+    """It shows the same images."""
+    nominal, there = calibrated_at(HALF.skin_radius_mm), calibrated_at(12.0)
+    assert without_numbers(there.warnings) == without_numbers(nominal.warnings)
+    assert any("fit better if all are" in warning for warning in there.warnings)
+    assert there.quality.grade == nominal.quality.grade
+    assert without_numbers(there.quality.advice) == without_numbers(nominal.quality.advice)
+    assert there.calibration.factors == pytest.approx(nominal.calibration.factors, rel=1e-4)
+    by = 12.0 / HALF.skin_radius_mm
+    fit, expected = there.calibration.fit, nominal.calibration.fit
+    assert fit
+    assert expected
+    assert fit.presses == expected.presses
+    assert fit.agreement_mae_mm == pytest.approx(by * expected.agreement_mae_mm, rel=1e-4)
+    assert fit.profiles["accurate"].depth_worst_mm == pytest.approx(
+        by * expected.profiles["accurate"].depth_worst_mm, rel=1e-3
+    )

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.calibration.indenters import box, cylinder
+from tacshade_edge.core.calibration.indenters import Indenter, box, cylinder, place
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import (
     Touch,
-    first_touch_mm,
     fixed_indenter,
     from_travel,
 )
@@ -24,30 +23,25 @@ places = st.tuples(*[st.floats(-500.0, 500.0)] * 3)
 TOUCHES = st.builds(Touch, st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(0.1, 6.0))
 
 
-@given(st.floats(0, 12), st.floats(1, 10))
-def test_a_ball_touches_before_its_lowest_point_is_at_the_skin(x_mm: float, ball_mm: float) -> None:
-    depth_mm = first_touch_mm(ball_mm, 20.0, x_mm, 0.0)
-    centre = np.array((x_mm, math.sqrt(400 - x_mm**2) - depth_mm + ball_mm))
-    assert float(np.hypot(*centre)) == pytest.approx(20 + ball_mm)
+def first_touch_mm(indenter: Indenter, x_mm: float, yaw_deg: float = 0.0) -> float:
+    return place(indenter, R_MM, x_mm, 0.0, R_MM / 2, yaw_deg).first_touch_mm(R_MM)
 
 
 def test_flat_ends_touch_beside_their_middle() -> None:
-    assert first_touch_mm(cylinder("flat", 4), 20, 0, 0) == pytest.approx(0, abs=1e-6)
-    assert first_touch_mm(cylinder("flat", 4), 20, 6, 0) == pytest.approx(
-        math.sqrt(400 - 36) - math.sqrt(400 - 4), abs=1e-3
-    )
-    turned = first_touch_mm(box("square", 8, 4), 20, 6, 0, 90), first_touch_mm(box("square", 8, 4), 20, 6, 0)
-    assert turned[0] == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3)
-    assert turned[1] < turned[0]
+    flat, square = cylinder("flat", 4), box("square", 8, 4)
+    assert first_touch_mm(flat, 0) == pytest.approx(0, abs=1e-6)
+    assert first_touch_mm(flat, 6) == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 4), abs=1e-3)
+    assert first_touch_mm(square, 6, 90) == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3)
+    assert first_touch_mm(square, 6) < first_touch_mm(square, 6, 90)
 
 
 def test_travel_becomes_depth() -> None:
     image = np.zeros((2, 2), np.uint8)
-    ball = KnownPress("ball", image, 6.0, 2.0, 6.0, 0.0)
-    assert from_travel(ball, 20).depth_mm == pytest.approx(2 + first_touch_mm(6.0, 20, 6, 0))
+    ball = from_travel(KnownPress("ball", image, 6.0, 0.0, 6.0, 0.0), 20)
+    assert math.hypot(6.0, math.sqrt(400 - 36) - ball.depth_mm + 6.0) == pytest.approx(26.0)
     flat = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4), tilt_x_deg=5.0)
     upright = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4))
-    assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 20, 6, 0))
+    assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 6))
     assert from_travel(flat, 20).depth_mm != pytest.approx(from_travel(upright, 20).depth_mm, abs=0.01)
     with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found no values"):
         from_travel(KnownPress("ball", image, 6.0, 2.0, None, None), 20)
@@ -66,20 +60,6 @@ def test_the_press_that_told_the_place_is_found_again(
         (reported.x_mm, reported.y_mm, reported.depth_mm), abs=1e-9
     )
     assert found.turned_deg(held) == pytest.approx(0.0, abs=1e-5)
-
-
-@given(angles, places, st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(0.0, 2.0))
-def test_a_sensor_that_is_moved_along_its_own_axes(
-    angle: tuple[float, ...], at: tuple[float, ...], x_mm: float, y_mm: float, deeper_mm: float
-) -> None:
-    """The indenter goes the other way in the sensor frame; the depth grows by what the skin falls off there."""
-    held = shift(*at) @ turn(angle)
-    reported = Touch(1.0, -2.0, 2.5)
-    moved = held @ shift(-x_mm, -y_mm, deeper_mm)
-    found = fixed_indenter(held, reported, 3.0, R_MM).touch(moved, R_MM)
-    skin = [math.sqrt(R_MM**2 - x * x - y * y) for x, y in ((1.0, -2.0), (1.0 + x_mm, -2.0 + y_mm))]
-    wanted = (1.0 + x_mm, -2.0 + y_mm, 2.5 + deeper_mm + skin[1] - skin[0])
-    assert (found.x_mm, found.y_mm, found.depth_mm) == pytest.approx(wanted, abs=1e-9)
 
 
 @given(angles.filter(lambda v: math.hypot(*v) > 0.01))

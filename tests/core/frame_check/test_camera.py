@@ -53,47 +53,29 @@ def test_a_press_does_not_hide_or_feign_a_move(reference: Look, shift_px: float)
         assert shifted_too_far(found, DISC) == (shift_px > 2)
 
 
-def test_what_is_said_of_a_move() -> None:
-    moved = Drift(still_part=1, moved_px=4, row_px=3, col_px=0, turn_deg=-0.5, zoom=1.01)
-    assert text_of(shift_reason(moved, DISC)) == "the image moved by 3.0 px, turned by -0.50 degrees, scaled by +1.0 %"
-    assert shift_reason(Drift(still_part=1, moved_px=0.4, col_px=0.3), DISC) is None
-    assert "turned" in text_of(shift_reason(Drift(still_part=1, moved_px=1.5, turn_deg=0.8), DISC))
-
-
 def test_light_and_focus(reference: Look) -> None:
     free, touched = to_grey(unloaded()), to_grey(pressed("ball", 2.5).image)
     for image in (free, touched):
-        assert drift(reference, image).light_reason is None
-        assert drift(reference, camera_faults.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
-        assert text_of(drift(reference, camera_faults.gain(image, 0.7)).light_reason).endswith(" times the light")
         assert drift(reference, camera_faults.gain(image, 0.9)).light_reason is None
+        dim = drift(reference, camera_faults.gain(image, 0.7))
+        assert dim.light == pytest.approx(0.7, abs=0.02)
+        assert text_of(dim.light_reason).endswith(" times the light")
         assert "blurred or dirty" in text_of(drift(reference, camera_faults.defocus(image, 1.5)).light_reason)
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
         assert "the light falls differently" in text_of(drift(reference, (image * ramp).astype(np.uint8)).light_reason)
 
 
-@settings(max_examples=15)
-@given(st.integers(0, 2**31), st.sampled_from(["noise", "flat", "black", "small"]))
-def test_an_image_of_something_else_says_nothing(reference: Look, seed: int, kind: str) -> None:
-    shape = (240, 320)
-    image = {
-        "noise": np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8),
-        "flat": np.full(shape, seed % 256, np.uint8),
-        "black": np.zeros(shape, np.uint8),
-        "small": np.zeros((120, 160), np.uint8),
-    }[kind]
-    assert drift(reference, image) == Drift()
-
-
-def test_a_disc_too_small_or_outside_says_nothing() -> None:
+def test_what_cannot_be_compared_says_nothing(reference: Look) -> None:
     grey = to_grey(unloaded())
+    for image in (np.random.default_rng(1).integers(0, 256, grey.shape, dtype=np.uint8), 0 * grey + 9, grey[::2, ::2]):
+        assert drift(reference, np.ascontiguousarray(image)) == Drift()
     for disc in (Disc(100, 100, 3), Disc(-500, 100, 80)):
         assert drift(look(grey, disc, 8.0), grey) == Drift()
 
 
 @pytest.mark.slow
 def test_good_presses_of_other_sensors_did_not_move_or_age() -> None:
-    for seed in range(8200, 8206):
+    for seed in (8200, 8203):
         model = random_model(seed)
         calibration = calibrated(model, 0)
         old = look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)

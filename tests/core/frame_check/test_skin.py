@@ -14,7 +14,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.reasons import ReasonCode, text_of
+from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import F32, U8, Bool, Disc, Frame, Reconstruction
 
@@ -22,13 +22,11 @@ ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) /
 TOUCHED = np.hypot(ROW, COL) < 20
 
 
-def judged(
-    untrusted_rows: slice, image: U8, touched: Bool = TOUCHED, logit: float = 4.0
-) -> tuple[Reconstructor, Reconstruction]:
+def judged(untrusted_rows: slice, image: U8, logit: float = 4.0) -> tuple[Reconstructor, Reconstruction]:
     """A contact in the middle, of whose picture some rows of 28 are untrusted."""
     untrusted = np.full((28, 28), -1, np.float32)
     untrusted[untrusted_rows] = logit
-    maps = np.stack((np.where(touched, np.float32(1), np.float32(0)), np.where(touched, np.float32(3), np.float32(-3))))
+    maps = np.stack((TOUCHED.astype(np.float32), np.where(TOUCHED, np.float32(3), np.float32(-3))))
     calibration = replace(calibrated(HALF, 0), factors={})
     made = Reconstructor(calibration, PROFILES["balanced"], saying(fold(maps, 4), untrusted))
     return made, made.step(Frame(0, 0, 0, image))
@@ -38,7 +36,6 @@ def test_a_few_untrusted_cells_are_no_contact_and_a_doubt() -> None:
     made, result = judged(slice(13, 14), pressed("ball", 3.0).image)
     assert result.valid
     assert result.degraded is not None
-    assert result.degraded.code is ReasonCode.UNTRUSTED
     told = float(result.degraded.text.split(" %")[0])
     rows = np.zeros_like(TOUCHED)
     rows[52:56] = True
@@ -47,30 +44,16 @@ def test_a_few_untrusted_cells_are_no_contact_and_a_doubt() -> None:
     np.testing.assert_array_equal(result.height.contact, TOUCHED & ~rows)
 
 
-def test_none_leave_no_trace() -> None:
-    _, result = judged(slice(0, 0), pressed("ball", 3.0).image)
-    assert (result.degraded, result.untrusted) == (None, None)
-    np.testing.assert_array_equal(result.height.contact, TOUCHED)
-
-
-def test_a_picture_of_something_else_is_refused() -> None:
-    _, result = judged(slice(10, 28), pressed("ball", 3.0).image)
-    assert (result.valid, result.contact) == (False, False)
-    assert result.reason is not None
-    assert result.reason.code is ReasonCode.TORN
-
-
-def test_a_skin_that_the_network_does_not_know_is_marked_not_refused() -> None:
-    _, result = judged(slice(10, 28), pressed("ball", 3.0).image, logit=2.0)
-    assert result.valid
-    assert result.untrusted is not None
-    assert result.degraded is not None
-    assert result.degraded.code is ReasonCode.UNTRUSTED
-
-
-def test_a_frame_in_which_the_network_finds_nothing_is_free() -> None:
-    _, result = judged(slice(0, 0), pressed("ball", 3.0).image, np.zeros_like(TOUCHED))
-    assert (result.valid, result.contact) == (True, False)
+@pytest.mark.parametrize(
+    ("rows", "logit", "code", "degraded"),
+    [(slice(0, 0), 4.0, "", ""), (slice(10, 28), 4.0, "torn", ""), (slice(10, 28), 2.0, "", "untrusted")],
+    ids=["this skin", "another picture", "a skin that the network does not know"],
+)
+def test_a_picture_of_something_else_is_refused(rows: slice, logit: float, code: str, degraded: str) -> None:
+    _, result = judged(rows, pressed("ball", 3.0).image, logit=logit)
+    assert (code_of(result.reason), code_of(result.degraded)) == (code, degraded)
+    assert result.contact == (code == "")
+    assert (result.untrusted is None) == (degraded == "")
 
 
 def logits(untrusted: Bool, logit: float = 4.0) -> F32:
@@ -106,7 +89,7 @@ def torn_text(grey: U8, reference: U8 = STRIPES, unloaded: bool = True) -> str:
     return text_of(first_reason(judge.measured(grey)))
 
 
-@pytest.mark.parametrize("row", [30, 50, 75])
+@pytest.mark.parametrize("row", [30, 75])
 def test_it_names_the_row_above_the_tear(row: int) -> None:
     torn = camera_faults.torn(STRIPES, STRIPES, row, 8)
     assert torn_text(torn).startswith(f"torn: row {row - 1} ")

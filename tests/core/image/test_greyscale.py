@@ -22,18 +22,6 @@ from tacshade_edge.types import F32, F64, U8, Disc
 RNG = np.random.default_rng(11)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 2000))
-def test_eq_1_counts_only_the_disc(seed: int, most: int) -> None:
-    rng = np.random.default_rng(seed)
-    s_t = rng.integers(0, most + 1, (5, 7)).astype(np.float32)
-    s_w = np.rint(s_t * rng.random(s_t.shape)).astype(np.float32)
-    g = greyscale.white_ratio(s_w, s_t)
-    exact = np.where(s_t > 0, 255 * s_w.astype(float) / np.maximum(s_t, 1).astype(float), 0)
-    np.testing.assert_allclose(g, exact, rtol=1e-6, atol=1e-6)
-    assert (g >= 0).all()
-    assert (g <= 255).all()
-
-
 def test_grey_of_three_equal_channels_is_that_channel() -> None:
     grey = RNG.integers(0, 256, (16, 256), dtype=np.uint8)
     np.testing.assert_array_equal(greyscale.to_grey(np.dstack([grey] * 3)), grey)
@@ -89,13 +77,9 @@ def test_constants_normalise_to_zero(level: float) -> None:
     assert not greyscale.shape_grey(values, values, inside).any()
 
 
-def test_what_lies_outside_the_disc_is_not_divided() -> None:
-    values = np.array([[0.0, np.finfo(np.float32).tiny, 4.0]], np.float32)
-    np.testing.assert_array_equal(greyscale.normalise(values, np.array([[True, True, False]])), [[0, 1, 0]])
-
-
-def test_normalise_spans_zero_to_one_over_the_disc_alone() -> None:
-    values = np.array([[-9, 1, 2, 3, 99]], np.float32)
+@pytest.mark.parametrize("scale", [1.0, np.finfo(np.float32).tiny])  # whose quotients outside are beyond float32
+def test_normalise_spans_zero_to_one_over_the_disc_alone(scale: float) -> None:
+    values = np.array([[-9, scale, 2 * scale, 3 * scale, 99]], np.float32)
     inside = np.array([[False, True, True, True, False]])
     np.testing.assert_array_equal(greyscale.normalise(values, inside), [[0, 0, 0.5, 1, 0]])
 
@@ -114,44 +98,22 @@ def noisy_step(rows: int = 120, cols: int = 160) -> F32:
     return image + noise
 
 
+@pytest.mark.parametrize("iterations", [1, 3, 200])
 @pytest.mark.parametrize("weight", [0.05, 0.1])  # the profiles'
-@pytest.mark.parametrize("shape", [(120, 160), (113, 151)])
-def test_it_is_scikit_images_solver(shape: tuple[int, int], weight: float) -> None:
-    image = noisy_step(*shape)
-    ours = chambolle(image, weight)
-    assert ours.dtype == np.float32
-    assert np.array_equal(ours, denoise_tv_chambolle(image, weight=weight))
-    precise = chambolle(image.astype(np.float64), weight)
-    assert precise.dtype == np.float64
-    assert np.array_equal(precise, denoise_tv_chambolle(image.astype(np.float64), weight=weight))
+def test_it_is_scikit_images_solver(weight: float, iterations: int) -> None:
+    image = noisy_step(113, 151)
+    before = image.copy()
+    ours, precise = (chambolle(each, weight, iterations) for each in (image, image.astype(np.float64)))
+    assert (ours.dtype, precise.dtype) == (np.float32, np.float64)
+    assert np.array_equal(ours, denoise_tv_chambolle(image, weight=weight, max_num_iter=iterations))
     np.testing.assert_allclose(ours, precise, atol=0.05 / 255)
+    assert np.array_equal(image, before)
 
 
 @given(image=images, weight=st.sampled_from([0.01, 0.05, 0.1, 1.0]))
 @examples(50)
 def test_it_is_scikit_images_solver_on_anything(image: F32, weight: float) -> None:
     assert np.array_equal(chambolle(image, weight), denoise_tv_chambolle(image, weight=weight))
-
-
-def test_noise_goes_and_a_step_stays() -> None:
-    image = noisy_step()
-    smooth = chambolle(image, 0.1)
-    assert smooth[60:, :].std() < 0.3 * image[60:, :].std()
-    assert smooth[35:55, 50:150].mean() - smooth[70:, :].mean() > 0.4
-
-
-@pytest.mark.parametrize("iterations", [1, 3, 200])
-def test_it_stops_after_the_iterations_that_it_is_given(iterations: int) -> None:
-    image = noisy_step(40, 50)
-    ours = chambolle(image, 0.1, iterations)
-    assert np.array_equal(ours, denoise_tv_chambolle(image, weight=0.1, max_num_iter=iterations))
-
-
-def test_the_input_stays_as_it_is() -> None:
-    image = noisy_step()
-    before = image.copy()
-    chambolle(image, 0.1)
-    assert np.array_equal(image, before)
 
 
 FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -201,7 +163,6 @@ JPEG_SIZE_AT = WHOLE[".jpg"].index(b"\xff\xc0") + 5
 @pytest.mark.parametrize(
     "data",
     [
-        png(30000, 30000),
         png(100_000, 100_000),
         png(SIDE_MAX_PX + 1, 1),
         png(SIDE_MAX_PX, PIXELS_MAX // SIDE_MAX_PX + 1),

@@ -16,12 +16,9 @@ from support.calibrated_sensor import (
     calibrated,
     pressed,
     random_sensor,
-    references,
-    sensor_of,
     unloaded,
 )
 
-from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference.pattern import marker_pitch_px
 from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.contact.gate import ContactGate
@@ -44,9 +41,7 @@ from tacshade_edge.core.image.preprocess import (
 from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.model import tactip
 from tacshade_edge.types import U8, Disc, Frame
 
 
@@ -68,7 +63,7 @@ def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
     images = [pressed("ball", 3.0).image, camera_faults.glare(unloaded(), 110, 190, 12), unloaded() * 0]
 
     def everything(found: Preprocessed) -> tuple[object, ...]:
-        arrays = (found.pixels, found.white.total)
+        arrays = (found.pixels, found.white)
         assert not any(array.flags.writeable for array in arrays)
         return (found.unseen, *(array.tobytes() for array in arrays))
 
@@ -85,19 +80,12 @@ def masks() -> tuple[U8, U8]:
     return calibration.reference_grey, mask
 
 
-@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
-@pytest.mark.parametrize("name", ["ball", "cube", "edge"])
-def test_a_contact_is_no_glare(name: str, depth_mm: float) -> None:
-    reference, mask = masks()
-    finder = GlareFinder(reference, mask, calibrated(HALF, 0).pitch_px)
-    assert finder.mask(to_grey(pressed(name, depth_mm).image)) is None
-
-
-@pytest.mark.parametrize("radius_px", [4, 8, 12])
+@pytest.mark.parametrize("radius_px", [4, 12])
 def test_glare_is_covered_and_the_rest_is_not(radius_px: float) -> None:
     reference, mask = masks()
     finder = GlareFinder(reference, mask, calibrated(HALF, 0).pitch_px)
-    assert finder.mask(to_grey(unloaded())) is None
+    for image in (unloaded(), pressed("ball", 3.0).image, pressed("edge", 1.0).image):
+        assert finder.mask(to_grey(image)) is None
     found = finder.mask(to_grey(camera_faults.glare(unloaded(), 110, 190, radius_px)))
     assert found is not None
     rows, cols = np.indices(found.shape)
@@ -132,13 +120,9 @@ def test_the_glare_search_by_blocks_is_that_by_pixels(rows: int, cols: int, pitc
         assert found is None
 
 
-def grey_noise(rows: int, cols: int) -> U8:
-    return np.random.default_rng(rows).integers(0, 256, (rows, cols), dtype=np.uint8)
-
-
-@pytest.mark.parametrize(("rows", "cols"), [(8, 10), (9, 11), (480, 641)])
+@pytest.mark.parametrize(("rows", "cols"), [(8, 10), (9, 11)])
 def test_an_image_is_halved_by_means_rounded_half_up(rows: int, cols: int) -> None:
-    image = grey_noise(rows, cols)
+    image = np.random.default_rng(rows).integers(0, 256, (rows, cols), dtype=np.uint8)
     whole = image[: rows // 2 * 2, : cols // 2 * 2].astype(int)
     exact = whole.reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
     np.testing.assert_array_equal(halved_image(image), (exact + 2) // 4)
@@ -148,10 +132,8 @@ def test_an_image_is_halved_by_means_rounded_half_up(rows: int, cols: int) -> No
 def test_the_halved_sensor_is_the_same_one() -> None:
     whole = calibrated(FULL, 0)
     half = halved_calibration(whole)
-    assert half.reference_grey.shape == half.reference_white.shape == (240, 320)
-    assert (half.image_height_px, half.image_width_px) == (240, 320)
     geometry = half.geometry
-    assert geometry.mm_per_px == pytest.approx(2 * whole.geometry.mm_per_px)
+    assert half.reference_grey.shape == half.reference_white.shape == (240, 320)
     assert geometry.f_px == pytest.approx(whole.geometry.f_px / 2)
     # Its disc lies where the halved picture of the whole one lies.
     mask = disc_mask(480, 640, whole.geometry.disc).astype(np.uint8)
@@ -162,12 +144,9 @@ def test_the_halved_sensor_is_the_same_one() -> None:
     assert np.sqrt(weight.sum() / np.pi) == pytest.approx(geometry.disc.radius_px, abs=0.05)
     # What a look at the halved image alone would have found.
     assert marker_pitch_px(half.reference_grey, geometry.disc) == pytest.approx(half.pitch_px, rel=0.03)
-    white = half.reference_white[disc_mask(240, 320, geometry.disc)]
-    whole_white = whole.reference_white[mask > 0]
-    assert white.mean() == pytest.approx(whole_white.mean(), abs=6)
 
 
-@pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256), (240, 320)])
+@pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256)])
 def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int) -> None:
     whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
     preprocessor = Preprocessor(whole, PROFILES["balanced"])
@@ -192,13 +171,9 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
 
 @pytest.mark.slow
 def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> None:
-    """Pixels are paired another way then.
-
-    The bounds are what this computes with `MOVED_PARTS` as they are, 0.215 at worst and 0.074 on average, and what it
-    computes with a reference that is not mixed, (0, 1, 0): 0.256 and 0.104.
-    """
+    """Pixels are paired another way then: 0.215 at worst and 0.074 on average; 0.256 and 0.104 with (0, 1, 0)."""
     errors = {}
-    for model in (FULL, random_sensor(2), random_sensor(5)):
+    for model in (FULL, random_sensor(2)):
         calibration, scale = calibrated(model, 0), model.skin_radius_mm / FULL.skin_radius_mm
         for profile, (depth_mm, x_mm) in product(("fast", "balanced"), ((3.0, 0.0), (1.5, 4.0))):
             made = make_reconstructor(calibration, PROFILES[profile])
@@ -229,53 +204,6 @@ def test_networks_see_a_noisy_camera_halved() -> None:
     assert [is_halved(each, PROFILES["accurate"]) for each in (quiet, noisy)] == [False, True]
     assert not is_halved(noisy, PROFILES["paper"])
     assert not is_halved(noisy, PROFILE), "references and presses are compared in whole pixels"
-
-
-@pytest.mark.slow
-def test_a_camera_that_draws_chequers_loses_no_press() -> None:
-    # As a cheap camera draws white pins: every other pixel has half the light.
-    model = replace(tactip(FULL), pin_tip_radius_pitches=0.18, pin_base_radius_pitches=0.18)
-    light = np.where(np.indices((480, 640)).sum(axis=0) % 2, 1.0, 0.5)
-
-    def seen(image: U8, seed: int) -> U8:
-        noise = np.random.default_rng(seed).normal(12, 6, light.shape)
-        return np.clip(to_grey(image) * light + noise, 0, 255).astype(np.uint8)
-
-    sensor = replace(sensor_of(model), binarisation="otsu")
-    taken = [seen(image, k) for k, image in enumerate(references(model, 5))]
-    made = make_reconstructor(calibrate(sensor, taken).calibration, PROFILES["accurate"])
-    found = made.step(Frame(0, 0, 0, seen(pressed("ring", 1.5, model).image, 50)))
-    assert found.degraded is None
-    assert 0.9 < found.depth_max_mm < 1.6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
-def test_half_the_resolution_finds_the_same_contact(depth_mm: float) -> None:
-    calibration = calibrated(FULL, 0)
-    frame = Frame(0, 0, 0, pressed("cube", depth_mm, FULL).image)
-    half, whole = (
-        make_reconstructor(calibration, replace(PROFILES["balanced"], halved=halved)).step(frame)
-        for halved in (True, False)
-    )
-    assert (half.height.row0, half.height.col0, half.height.step_px) == (
-        whole.height.row0,
-        whole.height.col0,
-        whole.height.step_px,
-    )
-    assert half.depth_max_mm == pytest.approx(whole.depth_max_mm, rel=0.1)
-    both, either = (half.height.contact & whole.height.contact), (half.height.contact | whole.height.contact)
-    assert both.sum() > 0.85 * either.sum()
-    off = np.nanmax(np.abs(half.height.height_mm - whole.height.height_mm))
-    assert off < 0.3 * whole.depth_max_mm
-
-
-@pytest.mark.parametrize("shape", [(481, 640), (480, 641), (240, 320)])
-def test_an_image_of_another_size_is_told_in_its_own_pixels(shape: tuple[int, int]) -> None:
-    made = make_reconstructor(calibrated(FULL, 0), PROFILES["balanced"])
-    result = made.step(Frame(0, 0, 0, np.zeros(shape, np.uint8)))
-    assert text_of(result.reason) == f"size: found {shape[1]}x{shape[0]} px, expected the calibration's 640x480 px"
-    assert not made.step(Frame(0, 0, 0, to_grey(unloaded(FULL)))).contact
 
 
 @pytest.mark.parametrize("name", ["paper", "balanced"])

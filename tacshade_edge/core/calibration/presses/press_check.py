@@ -1,6 +1,4 @@
-"""Check one press: does a learned profile, without a refit, see a contact, where, and how large is the ball; and, while
-the indenter is still there, can `calibrate` use the image?
-"""
+"""Check one press: can `calibrate` use its image, what does a network see in it, and does that differ from its row?"""
 
 from __future__ import annotations
 
@@ -11,18 +9,18 @@ import numpy as np
 
 from tacshade_edge.core.calibration.indenters import ball_along, ball_height_along, known_height
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation import PressObservation
+from tacshade_edge.core.calibration.observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.calibration.refit import LEAST_CELLS, contact_direction, placed_press
+from tacshade_edge.core.calibration.refit import LEAST_CELLS, contact_direction
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
 from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_rays, skin_points
-from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 
@@ -31,90 +29,19 @@ _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
 
 
-@dataclass(frozen=True, slots=True)
-class PressView:
-    """A press as a network sees it: the greatest height in the contact, and the place of the indenter, given its stated
-    radius and depth. `ball_factor` is the radius, as a multiple of the stated one, that fits the heights best, at any
-    factor on them (NaN for another indenter); `misfit_ratio` the misfit of the stated radius over that of the best.
-    """
-
-    depth_mm: float
-    x_mm: float
-    y_mm: float
-    ball_factor: float
-    misfit_ratio: float = 1.0
-
-
-class PressViewer:
-    """Measures presses of one sensor with the network of a profile, from its calibration without presses."""
-
-    def __init__(self, unloaded: Calibration, profile: Profile, network: Network) -> None:
-        self._geometry = unloaded.geometry
-        self._preprocessor = Preprocessor(unloaded, profile)
-        self._solver = LearnedSolver(self._preprocessor, network)
-
-    def view(self, press: KnownPress) -> PressView | None:
-        """The view of a press; None if the network sees no contact."""
-        return view_of(self._inverse(press.image), self._geometry, press)
-
-    def touches(self, image: U8) -> bool:
-        """Whether the network sees a contact in an image."""
-        return bool(np.count_nonzero(_contact(self._inverse(image))) >= LEAST_CELLS)
-
-    def _inverse(self, image: U8) -> Inverse:
-        return self._solver.inverse(self._preprocessor.preprocess(self._preprocessor.grey(image)))
-
-
-def view_of(inverse: Inverse, geometry: Geometry, press: KnownPress) -> PressView | None:
-    """The view of a press from a network's answer; None if it sees no contact."""
-    contact = _contact(inverse)
-    if np.count_nonzero(contact) < LEAST_CELLS:
-        return None
-    depth_mm = float(inverse.height_mm[contact].max())
-    if press.indenter is not None:
-        x_mm, y_mm = _indenter_place(inverse, geometry, press)
-        return PressView(depth_mm, x_mm, y_mm, math.nan)
-    along = contact_direction(geometry, inverse)
-    if along is None:
-        return None
-    ball = ball_along(geometry, along, press.depth_mm, press.radius_mm)
-    misfits = _misfits(inverse, geometry, along, press)
-    best, stated = int(np.argmin(misfits)), misfits[len(_TRIED) // 2]
-    ratio = stated / max(misfits[best], _LEAST_MISFIT)
-    return PressView(depth_mm, ball.x_mm, ball.y_mm, float(_TRIED[best]), max(ratio, 1.0))
-
-
-def as_seen(observation: PressObservation, view: PressView | None) -> PressObservation:
-    """The observation with the place that the network saw, if it saw a contact."""
-    if view is None:
-        return observation
-    return replace(
-        observation,
-        located_x_mm=view.x_mm,
-        located_y_mm=view.y_mm,
-        reach_mm=0.0,
-        ball_factor=view.ball_factor,
-        misfit_ratio=view.misfit_ratio,
-        is_seen=True,
-    )
-
-
 def _contact(inverse: Inverse) -> Bool:
     return np.asarray((inverse.contact_logit > 0) & np.isfinite(inverse.height_mm))
 
 
 def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> tuple[float, float]:
     """The stated place, shifted by the difference between the centroids of the heights and the indenter's surface."""
-    placed = placed_press(geometry, inverse, press)
-    found = np.where(_contact(inverse), inverse.height_mm, np.float32(0))
-    middle = _middle(found, geometry)
-    if placed is None or press.x_mm is None or press.y_mm is None:
-        return float(middle[0]), float(middle[1])
-    under: F32 = np.maximum(np.nan_to_num(known_height(geometry, placed, len(found))), np.float32(0))
+    placed = press.placed(geometry.skin_radius_mm)
+    x_mm, y_mm = _middle(np.where(_contact(inverse), inverse.height_mm, np.float32(0)), geometry).tolist()
+    under: F32 = np.maximum(np.nan_to_num(known_height(geometry, placed, len(inverse.height_mm))), np.float32(0))
     if np.count_nonzero(under) < LEAST_CELLS:
-        return float(middle[0]), float(middle[1])
-    beside = middle - _middle(under, geometry)
-    return press.x_mm + float(beside[0]), press.y_mm + float(beside[1])
+        return x_mm, y_mm
+    under_x, under_y = _middle(under, geometry).tolist()
+    return (press.x_mm or 0.0) + x_mm - under_x, (press.y_mm or 0.0) + y_mm - under_y
 
 
 def _middle(height_mm: F32, geometry: Geometry) -> F64:
@@ -134,7 +61,7 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
     u, v = rays.u[use].astype(np.float64), rays.v[use].astype(np.float64)
     misfits = []
     for part in _TRIED:
-        ball = ball_along(geometry, along, press.depth_mm, part * press.radius_mm)
+        ball = ball_along(geometry.skin_radius_mm, along, press.depth_mm, part * press.radius_mm)
         height = ball_height_along(geometry, ball, u, v)
         known = np.where(inside & (height > 0), height, 0).astype(np.float32).astype(np.float64)
         likeness = float(found @ known) ** 2 / max(float(found @ found) * float(known @ known), np.finfo(float).tiny)
@@ -144,9 +71,7 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The judgement on an image of a press; an unusable one leaves the other fields without meaning. `moved` says that
-    the camera moved too far since the references, `changed` what changed less; both empty if nothing did.
-    """
+    """Why an image of a press cannot be used; or what moved too far since the references, and what changed less."""
 
     unusable: Reason | None
     moved: str = ""
@@ -155,18 +80,52 @@ class Judgement:
 
 
 class PressCheck:
-    """Judges images of one sensor from its calibration without presses; a network of `GRADED_PROFILE` also sees light
-    contacts.
-    """
+    """Judges and measures images of one sensor from its calibration without presses, and a network of its own."""
 
     def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:
-        self.geometry = unloaded.geometry
+        self._unloaded = unloaded
         self._preprocessor = Preprocessor(unloaded, PROFILE)
+        self._mapper = GreyMapper(self._preprocessor)
         self._gate = ContactGate(self._preprocessor)
         self._judges = plain_judges(unloaded)
-        self._viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
-        self._disc = unloaded.geometry.disc
-        self._reference = camera.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
+        self._reference = camera.look(unloaded.reference_grey, unloaded.geometry.disc, unloaded.pitch_px)
+        self._seen = Preprocessor(unloaded, PROFILES[GRADED_PROFILE])
+        self._solver = LearnedSolver(self._seen, network) if network else None
+
+    @property
+    def geometry(self) -> Geometry:
+        """The sensor's geometry."""
+        return self._unloaded.geometry
+
+    def _inverse(self, image: U8) -> Inverse | None:
+        """The network's answer; None without one, or if it sees no contact."""
+        if self._solver is None:
+            return None
+        inverse = self._solver.inverse(self._seen.preprocess(self._seen.grey(image)))
+        return inverse if np.count_nonzero(_contact(inverse)) >= LEAST_CELLS else None
+
+    def see(self, observed: PressObservation, press: KnownPress) -> PressObservation:
+        """The observation with what the network sees; unchanged without a network, or if it sees no contact."""
+        inverse, geometry = self._inverse(press.image), self.geometry
+        if inverse is None:
+            return observed
+        seen = replace(observed, seen_depth_mm=float(inverse.height_mm[_contact(inverse)].max()), reach_mm=0.0)
+        if press.indenter is not None:
+            x_mm, y_mm = _indenter_place(inverse, geometry, press)
+            return replace(seen, located_x_mm=x_mm, located_y_mm=y_mm)
+        along = contact_direction(geometry, inverse)
+        if along is None:
+            return observed
+        ball = ball_along(geometry.skin_radius_mm, along, press.depth_mm, press.radius_mm)
+        misfits = _misfits(inverse, geometry, along, press)
+        best, stated = int(np.argmin(misfits)), misfits[len(_TRIED) // 2]
+        ratio = max(stated / max(misfits[best], _LEAST_MISFIT), 1.0)
+        factor = float(_TRIED[best])
+        return replace(seen, located_x_mm=ball.x_mm, located_y_mm=ball.y_mm, ball_factor=factor, misfit_ratio=ratio)
+
+    def observe(self, press: KnownPress) -> PressObservation:
+        """The change in the image of a press."""
+        return observe_press(self._preprocessor, self._mapper, press)
 
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""
@@ -174,11 +133,9 @@ class PressCheck:
         if reason := self._judges.reason(grey):
             return Judgement(reason)
         drift = camera.drift(self._reference, grey)
-        shift = camera.shift_reason(drift, self._disc)
-        if shift and camera.shifted_too_far(drift, self._disc):
+        shift = camera.shift_reason(drift, self.geometry.disc)
+        if shift and camera.shifted_too_far(drift, self.geometry.disc):
             return Judgement(None, moved=str(shift))
         changed = str(shift or drift.light_reason or "")
         in_contact = self._gate.changed_part(self._preprocessor.preprocess(grey)) >= self._gate.plain_part
-        if not in_contact and self._viewer:
-            in_contact = self._viewer.touches(grey)
-        return Judgement(None, changed=changed, in_contact=in_contact)
+        return Judgement(None, changed=changed, in_contact=in_contact or self._inverse(grey) is not None)

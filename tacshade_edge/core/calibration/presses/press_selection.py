@@ -1,6 +1,4 @@
-"""Select the presses for a calibration's fit: not those that disagree with their stated values, or with what all the
-other presses predict.
-"""
+"""Select the presses for a fit: not those that disagree with their stated values, or with what all others predict."""
 
 from __future__ import annotations
 
@@ -14,27 +12,18 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.observation import (
     PressObservation,
     first_touch_mm,
-    observe_press,
     with_stated_place,
 )
-from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer, as_seen
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.core.calibration.presses.table_check import (
-    axes_hint,
+    gross_mistakes,
     other_polarity,
     polarity_hint,
-    shown_sizes,
-    size_mistake,
-    table_hints,
-    unit_mistake,
 )
-from tacshade_edge.core.calibration.quality import GRADED_PROFILE
-from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F64, Calibration, Geometry, Polarity, frozen
+from tacshade_edge.types import F64, Calibration, Geometry, Polarity
 
 OUTLIER_DEVIATIONS = 4.0
 """A press is an outlier beyond this many standard deviations of all presses."""
@@ -66,23 +55,11 @@ _LARGER_MISFIT_RATIO = 4.0
 _LEAST_PRESSES = 3
 
 
-@frozen
-class LeftOut:
-    """The residual (N,) of each press from the fit without it: predicted less stated travel, and its size in robust
-    standard deviations of all presses, less if the press dominates the fit.
-    """
-
-    error_mm: F64
-    deviations: F64
-
-
-def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> LeftOut:
-    """Fit all presses robustly, and predict each from the others.
-
-    This is sharper than a reconstruction because the indenter and its place are known: the travel from first touch is a
-    power law of what the image shows. Iteration by P. W. Holland and R. E. Welsch (Comm. Stat. A 6, 1977) with P. J.
-    Huber's weights (Ann. Math. Stat. 35, 1964), here 0 beyond `OUTLIER_DEVIATIONS`; A. E. Hoerl and R. W. Kennard's
-    pull (Technometrics 12, 1970), here towards usual weights; leave-one-out residuals from the leverage by D. M. Allen
+def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[F64, F64]:
+    """Fit all presses robustly, and predict each from the others: the residuals (N,), predicted less stated travel in
+    mm, and their sizes in robust standard deviations. The travel from first touch is a power law of what the image
+    shows. Iteration by Holland and Welsch (Comm. Stat. A 6, 1977) with Huber's weights, 0 beyond `OUTLIER_DEVIATIONS`;
+    a pull towards usual weights (Hoerl and Kennard, Technometrics 12, 1970); residuals from the leverage by D. M. Allen
     (Technometrics 16, 1974).
     """
     scale = skin_scale(geometry)
@@ -110,12 +87,12 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
     rest = 1 - np.minimum(leverage, _MAX_LEVERAGE)
     without = residual / rest
     error = (np.exp(np.clip(-without, -5, 5)) - 1) * travel * scale
-    return LeftOut(error, np.abs(without) * np.sqrt(rest) / deviation)
+    return error, np.abs(without) * np.sqrt(rest) / deviation
 
 
 def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
     """Mean error of the depth of a press, predicted from all the others with indenter and place known; mm."""
-    return float(np.mean(np.abs(leave_one_out(observations, geometry).error_mm)))
+    return float(np.mean(np.abs(leave_one_out(observations, geometry)[0])))
 
 
 def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
@@ -138,32 +115,23 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
 
 
 def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
-    """A message for each press, by its index, whose stated place, ball or depth is far from the shown one; all others
-    together predict the depth.
-    """
+    """A message for each press, by index, whose place, ball or depth differs from what its image or the others show."""
     reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
         # Repeat without the worst: many wrong presses widen the deviation and so hide each other.
         rest = [k for k in range(len(observations)) if k not in reasons]
         if len(rest) < _LEAST_PRESSES:
             break
-        left_out = leave_one_out([observations[k] for k in rest], geometry)
-        found = {
-            k: _depth_reason(observations[k], float(error))
-            for k, error, deviations in zip(rest, left_out.error_mm, left_out.deviations, strict=True)
-            if deviations > OUTLIER_DEVIATIONS
-        }
+        left_out = zip(rest, *leave_one_out([observations[k] for k in rest], geometry), strict=True)
+        found = {k: float(error) for k, error, deviations in left_out if deviations > OUTLIER_DEVIATIONS}
         if not found:
             break
-        reasons |= found
+        for k, error_mm in found.items():
+            o = observations[k]
+            by = o.indenter or f"a ball of {o.radius_mm:g} mm"
+            expected = f"expected {o.depth_mm + error_mm:.2f} mm by the other presses with {by}"
+            reasons[k] = f"{o.name}: found a depth of {o.depth_mm:.2f} mm, {expected}"
     return dict(sorted(reasons.items()))
-
-
-def _depth_reason(press: PressObservation, error_mm: float) -> str:
-    return (
-        f"{press.name}: found a depth of {press.depth_mm:.2f} mm, expected {press.depth_mm + error_mm:.2f} mm by "
-        f"the other presses with {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
-    )
 
 
 def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
@@ -176,7 +144,10 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
         stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place([observations[k] for k in alike])]
         if stated:
             limit_mm = np.clip(medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale)
-            reasons |= {k: _place_reason(observations[k]) for k in alike if errors[k] > limit_mm}
+            for k in (k for k in alike if errors[k] > limit_mm):
+                o, (x_mm, y_mm) = observations[k], observations[k].place_mm
+                expected = f"expected x {o.located_x_mm:.1f}, y {o.located_y_mm:.1f} mm, as the image shows"
+                reasons[k] = f"{o.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, {expected}"
     return reasons
 
 
@@ -188,32 +159,15 @@ def _of_another_size(observations: Sequence[PressObservation], geometry: Geometr
     middle = float(np.median(list(logs.values())))
     deviation = 1.4826 * float(np.median([abs(log - middle) for log in logs.values()]))
     limit, shallow_mm = max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)), _BALL_DEPTH_MM * skin_scale(geometry)
-    return {
-        k: _ball_reason(observations[k], math.exp(log - middle))
-        for k, log in logs.items()
-        if abs(log - middle) > limit
-        and observations[k].depth_mm > shallow_mm
-        and (log < middle or observations[k].misfit_ratio > _LARGER_MISFIT_RATIO)
-    }
-
-
-def _ball_reason(press: PressObservation, factor: float) -> str:
-    """A message that the ball of a press looks `factor` times as large as stated."""
-    asked = ""
-    if factor < 1:
-        asked = f": is {press.radius_mm:g} mm its diameter?"
-    return (
-        f"{press.name}: found a ball of {press.radius_mm:g} mm, expected about {factor * press.radius_mm:.1f} mm, "
-        f"as the image shows{asked}"
-    )
-
-
-def _place_reason(press: PressObservation) -> str:
-    x_mm, y_mm = press.place_mm
-    return (
-        f"{press.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, "
-        f"expected x {press.located_x_mm:.1f}, y {press.located_y_mm:.1f} mm, as the image shows"
-    )
+    reasons = {}
+    for k, log in logs.items():
+        o = observations[k]
+        is_sure = log < middle or o.misfit_ratio > _LARGER_MISFIT_RATIO
+        if abs(log - middle) > limit and o.depth_mm > shallow_mm and is_sure:
+            expected = f"expected about {math.exp(log - middle) * o.radius_mm:.1f} mm, as the image shows"
+            asked = f": is {o.radius_mm:g} mm its diameter?" if log < middle else ""
+            reasons[k] = f"{o.name}: found a ball of {o.radius_mm:g} mm, {expected}{asked}"
+    return reasons
 
 
 MIN_PRESSES = 8
@@ -237,18 +191,14 @@ def select_presses(
     network: Network | None = None,
     polarity_stated: bool = True,
 ) -> Selection:
-    """Leave out presses without contact, with a moved camera, or that disagree with their stated values; the network of
-    `GRADED_PROFILE` shows whether and where something touches, and wrong stated sizes. A polarity that was not stated
-    is the one that fits the places. Raises ConfigError on a gross mistake in the whole table or the sensor's
-    description, and on too few presses or too many left out, all of which it names.
+    """Leave out presses without contact, with a moved camera, or that disagree. A polarity that was not stated is the
+    one that fits the places. Raises ConfigError on a gross mistake in the whole table or the sensor's description, and
+    on too few presses or too many left out, all of which it names.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")
     geometry = unloaded.geometry
-    preprocessor = Preprocessor(unloaded, PROFILE)
-    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
-    mapper, check = GreyMapper(preprocessor), PressCheck(unloaded)
-    views: list[PressView | None] = []
+    check = PressCheck(unloaded, network)
     pressed: list[KnownPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
@@ -259,30 +209,25 @@ def select_presses(
         judged = check.judge(press.image)
         if judged.unusable:
             left_out.append(f"{press.name}: {judged.unusable}")
-            continue
-        if judged.moved:
+        elif judged.moved:
             left_out.append(f"{press.name}: {judged.moved} since the references were taken")
-            continue
-        view = viewer.view(press) if viewer else None
-        if not (judged.in_contact or view):
+        elif not judged.in_contact:
             left_out.append(f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep")
         else:
             pressed.append(press)
-            views.append(view)
             if judged.changed:
                 warnings.append(f"{press.name}: {judged.changed} since the references were taken")
-    observations = [observe_press(preprocessor, mapper, press) for press in pressed]
+    observations = [check.observe(press) for press in pressed]
     polarity = unloaded.polarity
     if len(observations) >= MIN_PRESSES:
-        otherwise = _seen_otherwise(unloaded, pressed)
+        inverted = PressCheck(replace(unloaded, polarity=other_polarity(polarity)))
+        otherwise = [inverted.observe(press) for press in pressed]
         if hint := polarity_hint(observations, otherwise, polarity):
             if polarity_stated:
                 raise ConfigError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
-    observations = [as_seen(observed, view) for observed, view in zip(observations, views, strict=True)]
-    if len(observations) >= MIN_PRESSES and (
-        mistakes := _gross_mistakes(geometry, pressed, views if viewer else None, observations)
-    ):
+    observations = [check.see(each, press) for each, press in zip(observations, pressed, strict=True)]
+    if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
         raise ConfigError("; ".join(mistakes))
     disagreeing = outliers(observations, geometry)
     left_out += disagreeing.values()
@@ -296,29 +241,6 @@ def select_presses(
         (*warnings, *(f"{reason}; left out" for reason in left_out)),
         polarity,
     )
-
-
-def _seen_otherwise(unloaded: Calibration, presses: Sequence[KnownPress]) -> list[PressObservation]:
-    """The observations with the other polarity, where the skin brightens instead of darkening."""
-    preprocessor = Preprocessor(replace(unloaded, polarity=other_polarity(unloaded.polarity)), PROFILE)
-    mapper = GreyMapper(preprocessor)
-    return [observe_press(preprocessor, mapper, press) for press in presses]
-
-
-def _gross_mistakes(
-    geometry: Geometry,
-    presses: Sequence[KnownPress],
-    views: Sequence[PressView | None] | None,
-    observations: Sequence[PressObservation],
-) -> tuple[str, ...]:
-    """Mistakes that all presses share, or in the size of the skin; empty if none."""
-    if views is None:
-        return table_hints(observations, geometry)
-    shown = shown_sizes(presses, views)
-    mistakes = unit_mistake(shown.depth), axes_hint(observations, geometry)
-    if not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
-        mistakes = (size_mistake(shown, observations, geometry), "")
-    return tuple(mistake for mistake in mistakes if mistake)
 
 
 def _impossible(calibration: Calibration, press: KnownPress) -> str:

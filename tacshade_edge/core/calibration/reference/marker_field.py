@@ -35,8 +35,8 @@ _HEXAGON = 3**0.5 / 2
 
 @frozen
 class MarkerField:
-    """The markers, or pins, of one image: rows and columns (N, 2), N at least `LEAST_MARKERS`; the median distance to
-    the three nearest; the smallest circle around all, plus half a pitch.
+    """The markers, or pins, of one image: (row, col) (N, 2), N at least `LEAST_MARKERS`; the median distance to the
+    three nearest; the smallest circle around all, plus half a pitch.
     """
 
     markers_px: F64
@@ -148,9 +148,7 @@ _SHOWN_PART = 0.85
 
 
 def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
-    """Choose the local mean, or Otsu's level if the local mean makes specks of noise and Otsu's shows the markers.
-    `grey` (uint8 (H, W)): image of the unloaded skin. `pitch_px`: marker pitch.
-    """
+    """Choose the local mean, or Otsu's level if the local mean makes specks of noise and Otsu's shows the markers."""
     field = find_markers(grey)
     if field is None:
         return "adaptive"

@@ -1,4 +1,4 @@
-"""Find the visible circle and the marker pitch in a reference image."""
+"""Find the visible circle and the marker pitch in a reference image, and judge how well an image shows them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.reference.marker_field import MarkerField, find_markers
+from tacshade_edge.core.frame_check.picture import SATURATED_LEVEL
 from tacshade_edge.core.geometry.disc import disc_mask
-from tacshade_edge.core.geometry.visible_circle import LEAST_RIM_SEEN, rim_seen
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, F64, U8, Bool, Disc
+from tacshade_edge.types import F64, U8, Bool, Disc
 
 # A smaller image shows no markers.
 _LEAST_PX = 80
@@ -52,6 +52,17 @@ _GUESSED = 0.35
 _FILLED, _HALF_FILLED = 0.75, 0.37
 
 
+# Least part of the rim in the image; with less, the pattern ends at the image's own border.
+_LEAST_RIM_SEEN = 0.25
+
+
+def rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
+    """Part of a circle's rim, 0 to 1, that lies in an image of a shape (rows, cols)."""
+    angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
+    rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
+    return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
+
+
 class CircleNotFoundError(ConfigError):
     """No circle is certain; `guess` is the likeliest one, None if the image shows no pattern."""
 
@@ -61,8 +72,8 @@ class CircleNotFoundError(ConfigError):
 
 
 def visible_disc(grey: U8, stated: Disc | None) -> Disc:
-    """The stated circle, or else the one found. Raises ConfigError if that fails, with the line of SENSOR.yaml that
-    states the likeliest circle.
+    """The stated circle, or else the one found. Raises ConfigError with the line of SENSOR.yaml that states the
+    likeliest.
     """
     try:
         disc = stated or find_disc(grey)
@@ -89,80 +100,59 @@ def _advice(guess: Disc) -> str:
 
 
 def find_disc(grey: U8) -> Disc:
-    """Find the visible circle in a reference image.
-
-    The disc holds the marker pattern, so its rim is where the pattern's variation along the angle ends: a step in
-    brightness alone would find the LED ring instead. The textured region gives a coarse circle; a search then moves
-    centre and radius to the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE Trans. PAMI
-    15, 1993). Most sectors of the rim must end there, and the markers that `marker_field` finds one by one must fill
-    the disc: pins that no rim cuts, like a hexagon's, end at the circle around them.
-
-    `grey`: uint8 (H, W). Raises CircleNotFoundError.
+    """Find the visible circle. Its rim is where the pattern's variation along the angle ends: a step in brightness
+    would find the LED ring. Regions of texture give coarse circles, from which a search moves to the sharpest end (J.
+    Daugman, IEEE Trans. PAMI 15, 1993). Markers must fill the disc; pins that no rim cuts end at the circle around
+    them. Raises CircleNotFoundError.
     """
     if min(grey.shape) < _LEAST_PX:
         found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
         raise CircleNotFoundError(f"{_NOT_FOUND}: {found}")
     field = find_markers(grey)
     rims = [rim for starts in _starts(grey, field) if (rim := _sharpest(grey, starts))]
-    tried = [_judged(grey, rim, field) for rim in rims]
-    if good := [each for each in tried if not each.reason]:
-        return max(good, key=lambda each: (each.filled >= _FILLED, each.rim.sharpness)).rim.disc
-    if not tried:
+    if not rims:
         raise CircleNotFoundError(f"{_NOT_FOUND}: the pattern covers too little or all of the image")
+    pitch_px = field.pitch_px if field else 0.0
+    endings = [_ending_part(grey, rim.disc, pitch_px) for rim in rims]
+    good = [rim for rim, ending in zip(rims, endings, strict=True) if _is_visible_circle(grey, rim, ending, field)]
+    if good:
+        return max(good, key=lambda rim: (_filled(grey, rim.disc, field) >= _FILLED, rim.sharpness)).disc
     whole = field and rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
-    if field and whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
+    if field and whole and _filled(grey, field.circle, field) >= _FILLED:
         return field.circle
-    best = max(tried, key=lambda each: each.ending)
-    guess = field.circle if field and best.ending < _GUESSED else best.rim.disc
-    raise CircleNotFoundError(f"{_NOT_FOUND}: {best.reason}", guess)
+    ending, best = max(zip(endings, rims, strict=True), key=lambda each: each[0])
+    found = f"markers fill {100 * _filled(grey, best.disc, field):.0f} % of the best circle and end along"
+    guess = field.circle if field and ending < _GUESSED else best.disc
+    raise CircleNotFoundError(f"{_NOT_FOUND}: {found} {100 * ending:.0f} % of its rim", guess)
 
 
-@dataclass(frozen=True, slots=True)
-class _Tried:
-    """A rim, the parts of its sectors in which the pattern ends and of its area that markers fill, and why it cannot be
-    the visible circle's (empty if it can).
-    """
-
-    rim: _Rim
-    ending: float
-    filled: float
-    reason: str
+def _filled(grey: U8, disc: Disc, field: MarkerField | None) -> float:
+    return field.filled_part(disc, grey.shape) if field else 1.0
 
 
-def _judged(grey: U8, rim: _Rim, field: MarkerField | None) -> _Tried:
-    ending = _ending_part(grey, rim.disc, field.pitch_px if field else 0.0)
-    filled = field.filled_part(rim.disc, grey.shape) if field else 1.0
-    larger = rim.disc.radius_px / field.circle.radius_px if field else 1.0
-    is_sure = ending >= _SURE and larger >= _LAMPS
-    reason = ""
-    if rim.strength < _LEAST_PATTERN:
-        reason = f"the pattern varies by {rim.strength:.1f} grey levels, expected at least {_LEAST_PATTERN}"
-    elif (seen := rim_seen(grey.shape, rim.disc)) < LEAST_RIM_SEEN:
-        reason = f"{seen:.0%} of the best rim lies in the image, expected at least {LEAST_RIM_SEEN:.0%}"
-    elif ending < _ENDING:
-        reason = f"the pattern ends along {ending:.0%} of the best rim, expected at least {_ENDING:.0%}"
-    elif filled < _HALF_FILLED:
-        reason = f"markers fill {filled:.0%} of the best circle, expected at least {_HALF_FILLED:.0%}"
-    elif field and larger > _BESIDE[1] and _is_isolated(grey, field):
-        reason = "the markers end before the best circle"
-    elif field and not is_sure and not field.holds(rim.disc):
-        reason = "markers lie beyond the best circle"
-    return _Tried(rim, ending, filled, reason.replace("%", " %"))
+def _is_visible_circle(grey: U8, rim: _Rim, ending: float, field: MarkerField | None) -> bool:
+    """Whether a rim, along a part of which the pattern ends, can be the visible circle's."""
+    if rim.strength < _LEAST_PATTERN or ending < _ENDING or rim_seen(grey.shape, rim.disc) < _LEAST_RIM_SEEN:
+        return False
+    if field is None:
+        return True
+    larger = rim.disc.radius_px / field.circle.radius_px
+    if _filled(grey, rim.disc, field) < _HALF_FILLED or (larger > _BESIDE[1] and _is_isolated(grey, field)):
+        return False
+    return field.holds(rim.disc) or (ending >= _SURE and larger >= _LAMPS)
 
 
 def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
-    """Coarse circles, by how they were found: around regions of texture, through the rims of cut ones, and around the
-    markers.
-    """
+    """Coarse circles: around regions of texture, through the rims of cut ones, and around the markers."""
     regions = [region for part in _TEXTURE_PARTS if (region := _textured_region(grey, part))]
-    rims = [region.rim for region in regions if region.rim]
+    rims = [rim for _, rim in regions if rim]
     around = []
     if field:
         around.append(field.circle)
         if rim := _circle_through_rim(field.hull_px, grey.shape, field.pitch_px):
             rims.append(replace(rim, radius_px=rim.radius_px + field.pitch_px / 2))
-    cut = [rim for rim in rims if rim_seen(grey.shape, rim) > LEAST_RIM_SEEN]
-    return [starts for starts in ([region.disc for region in regions], cut, around) if starts]
+    cut = [rim for rim in rims if rim_seen(grey.shape, rim) > _LEAST_RIM_SEEN]
+    return [starts for starts in ([disc for disc, _ in regions], cut, around) if starts]
 
 
 def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
@@ -183,8 +173,8 @@ def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
 
 
 def _is_isolated(grey: U8, field: MarkerField) -> bool:
-    """Whether the pattern ends with a field: beside it, the image varies less than a third as much (0.47 times as much
-    where the search misses the rim of an orthographic dome).
+    """Whether the pattern ends with a field: beside it, the image varies less than a third as much (0.47 on a coarse
+    rim).
     """
     radii: F64 = field.circle.radius_px * np.linspace(*_BESIDE, 3 * _BESIDE_RADII)
     strength, seen = _pattern_strength(grey, field.circle, radii)
@@ -228,17 +218,9 @@ def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
     return best
 
 
-@dataclass(frozen=True, slots=True)
-class _Region:
-    """Circle of a region's area around its centroid; `rim` is one through its rim, if the image cuts the region."""
-
-    disc: Disc
-    rim: Disc | None
-
-
-def _textured_region(grey: U8, part: float) -> _Region | None:
-    """The hull of the largest region with more texture than `part` of Otsu's threshold (N. Otsu, 1979); None if it
-    is too small.
+def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
+    """The circle of the area of the largest region with more texture than a part of Otsu's threshold (1979), and one
+    through its rim if the image cuts it; None if it is too small.
     """
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -258,13 +240,9 @@ def _textured_region(grey: U8, part: float) -> _Region | None:
     moments = cv2.moments(hull)
     if area < 0.02 * small.size or moments["m00"] == 0:
         return None
-    radius = float(np.sqrt(area / np.pi))
-    disc = Disc(
-        row_c=float(moments["m01"] / moments["m00"]) * scale,
-        col_c=float(moments["m10"] / moments["m00"]) * scale,
-        radius_px=radius * scale,
-    )
-    return _Region(disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, _BORDER_PX, scale))
+    row, col = (float(moments[name] / moments["m00"]) * scale for name in ("m01", "m10"))
+    disc = Disc(row, col, float(np.sqrt(area / np.pi)) * scale)
+    return disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, _BORDER_PX, scale)
 
 
 def _circle_through_rim(hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0) -> Disc | None:
@@ -285,9 +263,8 @@ def _width(disc: Disc) -> int:
 
 
 def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
-    """Squared variation along the angle at every radius, without its slow part. Returns `strength` (float64 (rays,
-    radii)): in squared grey levels; 0 outside the image. Returns `seen` (bool (rays, radii)): whether the sample lies
-    inside the image.
+    """Squared variation along the angle at every radius, without its slow part, grey levels², and whether the sample
+    lies inside the image, both (rays, radii); 0 outside.
     """
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
@@ -302,10 +279,8 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
 
 
 def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | None:
-    """The rim at which the pattern ends, its radius `low` to `high` times the disc's; None without pattern.
-
-    The profile averages all angles, so a marker that ends short of the rim does not matter; a wrong centre smears the
-    end, so the right one has the greatest sharpness.
+    """The rim at which the pattern ends, `low` to `high` times the disc's radius; None without pattern. The profile
+    averages all angles: a wrong centre smears the end, so the right one has the greatest sharpness.
     """
     n = _width(disc)
     radii = np.arange(low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX)
@@ -324,17 +299,11 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | Non
     k = edge - n + int(below[0]) if below.size else edge
     part = (profile[k - 1] - half) / max(profile[k - 1] - profile[k], 1e-9) if k > 0 else 0.0
     radius = float(radii[k] - _RADIAL_STEP_PX * (1 - min(max(part, 0.0), 1.0)))
-    return _Rim(
-        Disc(disc.row_c, disc.col_c, radius),
-        sharpness=float(fall[best]),
-        strength=float(inner[best]),
-    )
+    return _Rim(Disc(disc.row_c, disc.col_c, radius), float(fall[best]), float(inner[best]))
 
 
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
-    """Distance between neighbouring pin tips in the middle of the disc, px. Raises ConfigError (the disc has no
-    periodic pattern).
-    """
+    """Distance between neighbouring pin tips in the middle of the disc, px. Raises ConfigError without a pattern."""
     try:
         return _spectral_pitch_px(grey, disc)
     except ConfigError:
@@ -345,10 +314,8 @@ def marker_pitch_px(grey: U8, disc: Disc) -> float:
 
 
 def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
-    """The marker pitch from the pattern's spectrum, px.
-
-    The first ring of the lattice's spectrum lies at 2 / (√3 pitch): the first peak of the mean power over all
-    directions in the middle of the disc, where perspective stretches the lattice least.
+    """The marker pitch from the pattern's spectrum, px: the lattice's first ring lies at 2 / (√3 pitch), in the mean
+    power over all directions in the middle of the disc, where perspective stretches it least.
     """
     half = max(int(0.5 * disc.radius_px), 8)
     row, col = round(disc.row_c), round(disc.col_c)
@@ -378,8 +345,73 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
 
 def mean_image(images: Sequence[U8]) -> U8:
     """Rounded mean of equally sized grey images."""
-    total: F32 = np.zeros(images[0].shape, dtype=np.float32)
-    for image in images:
-        total += image
-    mean: U8 = np.rint(total / len(images)).astype(np.uint8)
-    return mean
+    return np.rint(np.mean(images, axis=0, dtype=np.float32)).astype(np.uint8)
+
+
+# Rows of the image in which the circle is searched for: a third of the time, and within 1 px.
+_PATTERN_ROWS = 240
+# Part of the radius that is measured, without the housing's edge.
+_INNER = 0.95
+_PERCENTILES = (5, 95)
+_SATURATED_PART, _CONTRAST_GREY = 0.02, 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """The disc of the marker pattern in an image, and its pitch in px."""
+
+    disc: Disc
+    pitch_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How well an image shows the pattern."""
+
+    focus: float  # RMS of the Laplacian over the pattern's: greatest when sharpest (Subbarao, Choi and Nikzad 1993)
+    contrast_grey: float  # of the markers: 5th to 95th percentile, without slow variation of light
+    saturated_part: float  # of the disc, at 250 grey levels or above
+
+    @property
+    def advice(self) -> str:
+        """What to fix; empty if nothing."""
+        if self.saturated_part > _SATURATED_PART:
+            return "too bright: use less light or a shorter exposure"
+        if self.contrast_grey < _CONTRAST_GREY:
+            return "too flat: use more light, a longer exposure or a sharper lens"
+        return ""
+
+
+def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
+    """Find the disc, if it is not stated, and the pitch. Raises ConfigError if the image shows none."""
+    if stated is not None:
+        return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
+    scale = max(grey.shape[0] / _PATTERN_ROWS, 1.0)
+    if min(grey.shape) < 16 * scale:
+        raise ConfigError(
+            f"found no visible circle: the image is too small or too narrow ({grey.shape[1]}x{grey.shape[0]} px)"
+        )
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    disc = find_disc(np.asarray(small, np.uint8))
+    # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.
+    row_c, col_c = ((centre + 0.5) * scale - 0.5 for centre in (disc.row_c, disc.col_c))
+    found = Disc(row_c, col_c, disc.radius_px * scale)
+    return Pattern(found, marker_pitch_px(grey, found))
+
+
+def view(grey: U8, pattern: Pattern) -> View:
+    """Measure how well an image shows the pattern of this image or an earlier one."""
+    disc, (height, width) = pattern.disc, grey.shape
+    inside = disc_mask(height, width, Disc(disc.row_c, disc.col_c, _INNER * disc.radius_px))
+    if not inside.any():
+        return View(0.0, 0.0, 0.0)
+    values = grey.astype(np.float32)
+    side = max(int(2 * pattern.pitch_px) | 1, 3)
+    detail = (values - cv2.blur(values, (side, side)))[inside]
+    fine = cv2.Laplacian(cv2.GaussianBlur(values, (0, 0), 1.0), cv2.CV_32F)[inside]
+    low, high = np.percentile(detail, _PERCENTILES)
+    return View(
+        focus=float(fine.std() / max(detail.std(), 1e-3)),
+        contrast_grey=float(high - low),
+        saturated_part=float(np.mean(grey[inside] >= SATURATED_LEVEL)),
+    )

@@ -1,5 +1,5 @@
-"""Make a calibration's reference from images of the unloaded skin, and check them, most of all for a load: a free skin
-is alike all around its centre and changes smoothly outwards.
+"""Make a reference from images of the unloaded skin, and check it, most of all for a load: a free skin is alike all
+around its centre and changes smoothly outwards.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 
 from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.contact.gate import GATE_MM2, ContactGate
-from tacshade_edge.core.frame_check import camera, light, plain_judges
+from tacshade_edge.core.frame_check import camera, picture, plain_judges
 from tacshade_edge.core.frame_check.camera import Drift
-from tacshade_edge.core.frame_check.light import DRIFT_LEVELS
-from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays, radius_squared
+from tacshade_edge.core.frame_check.picture import DRIFT_LEVELS
+from tacshade_edge.core.geometry.disc import Grid, disc_mask, radius_squared
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.image.white import Binariser, BoxSums, Integrator, odd
+from tacshade_edge.core.image.white import eighth, squares
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -29,19 +29,14 @@ from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Polarity
 # A patch is a load if it differs from its ring by this much (grey levels, and deviations of the disc, because a fine
 # pattern makes every ring uneven), is this large (mm² on the nominal skin) and alone: a square lattice makes four such
 # patches, a quarter turn apart. tools/studies/calibration.py measures what this finds, rightly and wrongly.
-LOAD_GREY = 22.0
-LOAD_DEVIATIONS = 3.5
-LOAD_MM2 = 9.0
+LOAD_GREY, LOAD_DEVIATIONS, LOAD_MM2 = 22.0, 3.5, 9.0
 # A load in the middle is alike all around too, but bends the radial profile (second difference over two rings). The
 # outer rings are left out: light at the rim brightens and bends them without a load.
-RINGS = 12
-MIDDLE_RINGS = 10
-LOAD_BEND_GREY = 22.0
+RINGS, MIDDLE_RINGS, LOAD_BEND_GREY = 12, 10, 22.0
 PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, network=None)
 """Profile of the maps that compare references and presses: of whole images, and without a network."""
-ASSUMED_NOISE_GREY = 1.0
-"""Noise of g, RMS in grey levels, assumed for fewer references than `NOISE_REFERENCES`."""
-NOISE_REFERENCES = 3
+ASSUMED_NOISE_GREY, NOISE_REFERENCES = 1.0, 3
+"""Noise of g, RMS in grey levels, assumed for fewer references than the second."""
 # A reference of which more has changed against the mean of all is pressed: a tip that sways reaches 0.22 (raw TacTips).
 LOADED_PART = 0.23
 # The old refit does not hold for a new reference with less than this part of the old contrast.
@@ -65,8 +60,7 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
     area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
     if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
         return f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin around the centre"
-    bend = radial_bend(g0, rho2, voting)
-    if bend > LOAD_BEND_GREY:
+    if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
         return f"the skin's centre seems pressed in the reference: its profile bends by {bend:.0f} grey levels"
     return ""
 
@@ -90,8 +84,7 @@ def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
         rows, cols = -cols, rows
     i = np.rint((rows + disc.row_c - grid.row0) / grid.step_px).astype(int)
     j = np.rint((cols + disc.col_c - grid.col0) / grid.step_px).astype(int)
-    turned: F32 = values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
-    return turned
+    return values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
 
 
 def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
@@ -107,37 +100,22 @@ def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
     """Replace the reference by the mean of binarised images, and the noise by the deviation of g between them."""
-    geometry = calibration.geometry
-    height, width = calibration.image_height_px, calibration.image_width_px
-    window = Window.of_disc(height, width, geometry.disc)
-    mask = window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
-    side = odd(PROFILE.window_pitches * calibration.pitch_px)
-    grid, integrator = Grid.of_window(window, PROFILE.stride_px), Integrator(window, side // 2 + 1)
-    box_sums = BoxSums(integrator, grid, side)
-    total, inside = box_sums.sums(integrator.integrate(mask)), disc_rays(grid, geometry).inside
-    binariser = Binariser(mask, calibration.binarisation, calibration.pitch_px)
-    white_sum: F32 = np.zeros((height, width), dtype=np.float32)
-    ratios = []
-    for grey in greys:
-        white = binariser(window.cut(grey))
-        window.cut(white_sum)[...] += white
-        ratios.append(greyscale.white_ratio(box_sums.sums(integrator.integrate(white)), total)[inside])
+    prepared = Preprocessor(calibration, PROFILE)
+    whites = [prepared.binarised(grey) for grey in greys]
     noise = calibration.noise_grey
     if len(greys) >= NOISE_REFERENCES:
+        ratios = [prepared.ratio(prepared.integrator.integrate(white))[prepared.rays.inside] for white in whites]
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
+    reference_white = np.zeros_like(greys[0])
+    prepared.window.cut(reference_white)[...] = np.rint(np.sum(whites, axis=0) * np.float32(255 / len(greys)))
     return replace(
-        calibration,
-        reference_white=np.rint(white_sum * (255 / len(greys))).astype(np.uint8),
-        reference_grey=pattern.mean_image(greys),
-        noise_grey=noise,
+        calibration, reference_white=reference_white, reference_grey=pattern.mean_image(greys), noise_grey=noise
     )
 
 
 def shown_polarity(calibration: Calibration) -> Polarity:
-    """The likely polarity of a reference: dark if white pins stand on black, as a TacTip's do.
-
-    Pins stand on a hexagonal lattice, which has peaks at its points only, so the third moment of the pattern's
-    fundamental has their sign, however wide pins and markers are. Only presses are certain.
+    """The likely polarity of a reference: dark if white pins stand on black, as a TacTip's do. Pins stand on a
+    hexagonal lattice, so the third moment of the pattern's fundamental has the sign of its peaks.
     """
     disc, pitch_px = calibration.geometry.disc, calibration.pitch_px
     shape = height, width = calibration.image_height_px, calibration.image_width_px
@@ -156,18 +134,16 @@ def shown_polarity(calibration: Calibration) -> Polarity:
 def check_references(
     calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Warn of differences between the images whose mean is the calibration's reference, and of a load if that is
-    allowed. Raises ConfigError on a load that is not, and on a camera that moved too far for a mean.
+    """Warn of differences between the images of a reference, and of a load if that is allowed. Raises ConfigError on a
+    load that is not, and on a camera that moved too far.
     """
     names = names or [str(number) for number in range(1, len(greys) + 1)]
-    warnings = []
+    disc, preprocessor = calibration.geometry.disc, Preprocessor(calibration, PROFILE)
+    warnings, gate = [], ContactGate(preprocessor)
     if len(greys) < NOISE_REFERENCES:
         warnings.append(
             f"references: found {len(greys)}, expected 5 to measure noise; assuming {ASSUMED_NOISE_GREY} grey levels"
         )
-    if load := reference_load_reason(Preprocessor(calibration, PROFILE)):
-        warnings.append(_allowed(load, allow_loaded))
-    disc = calibration.geometry.disc
     first = camera.look(greys[0], disc, calibration.pitch_px)
     for name, grey in zip(names[1:], greys[1:], strict=True):
         drift = camera.drift(first, grey)
@@ -178,50 +154,42 @@ def check_references(
             )
         if change := shift or drift.light_reason:
             warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
-    preprocessor = Preprocessor(calibration, PROFILE)
-    gate = ContactGate(preprocessor)
+    loads = [reference_load_reason(preprocessor)]
     changed = [gate.changed_part(preprocessor.preprocess(grey)) for grey in greys]
-    pressed = [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]
-    if pressed:
-        load = f"the skin seems pressed in reference {', '.join(pressed)}, compared with the mean of all references"
-        warnings.append(_allowed(load, allow_loaded))
+    if pressed := [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]:
+        loads.append(
+            f"the skin seems pressed in reference {', '.join(pressed)}, compared with the mean of all references"
+        )
+    if any(loads) and not allow_loaded:
+        advice = "take the references again without contact, or pass --allow-loaded-reference"
+        raise ConfigError(f"{next(filter(None, loads))}; {advice}")
+    warnings += filter(None, loads)
     return tuple(warnings)
-
-
-def _allowed(load: str, allow_loaded: bool) -> str:
-    """Return the load's message as a warning, or raise ConfigError if no load is allowed."""
-    if not allow_loaded:
-        raise ConfigError(f"{load}; take the references again without contact, or pass --allow-loaded-reference")
-    return load
 
 
 def rezero(
     calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
 ) -> Calibration:
-    """Replace a calibration's reference by one from new images of the unloaded skin. Raises ConfigError if an image
-    cannot be used, the camera moved too far for the geometry, or something touches the skin and that is not allowed.
+    """Replace a calibration's reference by new images of the unloaded skin. Raises ConfigError if an image cannot be
+    used, the camera moved too far, or something touches the skin and that is not allowed.
     """
     if not images:
         raise ConfigError("found no image to take a reference from, expected at least one")
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
     judges = plain_judges(calibration, unloaded=True)
+    old = camera.look(calibration.reference_grey, disc, calibration.pitch_px)
     refused = [f"rejected reference {name}: " for name in names] or ["rejected the reference: "] * len(greys)
     for grey, lead in zip(greys, refused, strict=True):
         if reason := judges.reason(grey):
             raise ConfigError(f"{lead}{reason}")
-    old = camera.look(calibration.reference_grey, disc, calibration.pitch_px)
-    for grey, lead in zip(greys, refused, strict=True):
         drift = camera.drift(old, grey)
         if camera.shifted_too_far(drift, disc):
             shift = camera.shift_reason(drift, disc)
             raise ConfigError(f"{lead}{shift}; fasten the camera in its old position, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
-            raise ConfigError(
-                f"{lead}found {drift.contrast:.2f} times the old reference's contrast, "
-                f"expected at least {_WORN_CONTRAST} times; "
-                "clean or focus the lens, or calibrate again"
-            )
+            found = f"found {drift.contrast:.2f} times the old reference's contrast, expected at least {_WORN_CONTRAST}"
+            raise ConfigError(f"{lead}{found} times; clean or focus the lens, or calibrate again")
     renewed = with_reference(replace(calibration, crc32=0), greys)
     if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
         raise ConfigError(f"rejected the reference: {load}")
@@ -239,15 +207,11 @@ REST_MOST_GREY = 8.0
 
 def block_means(grey: U8) -> F32:
     """Means over blocks of a grey image of at least 8 x 8: (H // 8, W // 8)."""
-    rows, cols = grey.shape[0] // BLOCK_PX, grey.shape[1] // BLOCK_PX
-    whole = grey[: rows * BLOCK_PX, : cols * BLOCK_PX].astype(np.float32)
-    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    return squares(grey, BLOCK_PX)[0]
 
 
 def motion_grey(blocks: Sequence[F32]) -> float:
-    """Change over time of the block that changed most, less the change shared by all: grey levels between the least and
-    the greatest mean of that block over `block_means` of at least one image, in any order.
-    """
+    """Change over time of the block that changed most, less the change shared by all, over `block_means` of images."""
     change = np.stack(blocks) - blocks[0]
     change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
     return float((change.max(axis=0) - change.min(axis=0)).max())
@@ -259,20 +223,17 @@ def stands_still(motion: float, rest: float) -> bool:
 
 
 # An area as large as the gate requires may differ by this much from the origin, less the common change: more than an
-# aged lamp causes, less than a lost marker. It is far below the gate's least 10, so nothing that was followed looks
-# like a contact when it goes. The tests state how much later a slow load is found because of it.
-PATCH_GREY = 4.0
-# Limit of the common change: beyond it, frames are degraded against the original reference.
-COMMON_GREY = DRIFT_LEVELS
+# aged lamp causes, less than a lost marker, and far below the gate's least 10, so nothing that was followed looks like
+# a contact when it goes. Beyond the common change, frames are degraded against the original reference.
+PATCH_GREY, COMMON_GREY = 4.0, DRIFT_LEVELS
 # A smaller change is not worth a new calibration number (grey levels, and multiples of the noise of g).
 RENEW_GREY, RENEW_NOISE = 2.0, 2.0
-_BLOCK_PX = 8  # averages the noise of single pixels
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """The difference between two references: their drift, the change of g that the whole skin shares, and the greatest
-    difference from that over `GATE_MM2` of skin, lighter or darker.
+    """The difference between two references: drift, the change of g that all skin shares, the greatest beside it on a
+    patch.
     """
 
     drift: Drift
@@ -282,8 +243,8 @@ class Distance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """The result of `follow`: the calibration with the renewed reference (None: the present one stays), the distance of
-    the images from the origin (None: one cannot be compared), and the bound exceeded or why an image is invalid.
+    """The renewed reference (None: the present one stays), the images' distance from the origin (None: one cannot be
+    compared), and the bound exceeded or why an image is invalid.
     """
 
     calibration: Calibration | None
@@ -296,22 +257,19 @@ def bounds(disc: Disc) -> dict[str, float]:
     return {
         "shift_px": round(camera.SHIFT_PART * disc.radius_px, 3),
         "moved_px": round(camera.RIM_PART * disc.radius_px, 3),
-        "light_low": light.COMPENSATED_LOW,
-        "light_high": light.COMPENSATED_HIGH,
-        "uneven": light.UNEVEN,
-        "contrast": light.CONTRAST,
+        "light_low": picture.COMPENSATED_LOW,
+        "light_high": picture.COMPENSATED_HIGH,
+        "uneven": picture.UNEVEN,
+        "contrast": picture.CONTRAST,
         "common_grey": COMMON_GREY,
         "patch_grey": PATCH_GREY,
     }
 
 
 def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
-    """Renew the current reference from untouched images (at least one) if they are within the bounds around the
-    origin's.
-
-    An ageing light, a warming lens or settling dust change the image smoothly and hardly affect g; an object that rests
-    on the skin, a lost marker or dirt change a patch. An object laid on so gently that the gate stays closed is such a
-    patch too, so the bounds limit the whole change since the origin, not each renewal.
+    """Renew the current reference from untouched images (at least one) within the bounds around the origin's. Ageing
+    light changes the image smoothly and hardly affects g; an object that rests on the skin, a lost marker or dirt
+    change a patch. The bounds limit the whole change since the origin, so that nothing creeps in.
     """
     greys = [greyscale.to_grey(image) for image in images]
     judges = plain_judges(origin, unloaded=True)
@@ -362,9 +320,5 @@ def _worth(current: Preprocessor, renewed: Preprocessor) -> bool:
     common, patch = g_change(current, renewed)
     if abs(common) + patch > max(RENEW_GREY, RENEW_NOISE * current.calibration.noise_grey):
         return True
-    size = tuple(math.ceil(side / _BLOCK_PX) for side in current.calibration.reference_grey.shape[::-1])
-    old, new = (
-        cv2.resize(np.asarray(p.calibration.reference_grey), size, interpolation=cv2.INTER_AREA)
-        for p in (current, renewed)
-    )
-    return bool(np.mean(cv2.absdiff(old, new)) > RENEW_GREY)
+    old, new = (eighth(p.calibration.reference_grey).astype(np.int16) for p in (current, renewed))
+    return bool(np.abs(new - old).sum() > RENEW_GREY * old.size)

@@ -10,36 +10,31 @@ from support.calibrated_sensor import HALF, calibrated, presses, simulated, unlo
 
 from tacshade_edge.core.calibration.indenters import box
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressView, PressViewer
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.calibration.observation import PressObservation
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.press import Press, ridge
-from tacshade_edge.types import Disc, Geometry
-
-GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
-PRESS = KnownPress("press", np.zeros((2, 2), np.uint8), 12.0, 2.0, 6.0, -3.0)
-RIGHT = PressView(2.0, 6.0, -3.0, 1.1)
 
 
 @cache
-def viewer() -> PressViewer:
-    return PressViewer(calibrated(count=0), PROFILES["accurate"], load_networks()["accurate"])
+def check() -> PressCheck:
+    return PressCheck(calibrated(count=0), load_networks()["accurate"])
 
 
-def seen(press: KnownPress) -> PressView:
-    view = viewer().view(press)
-    assert view is not None
-    return view
+def seen(press: KnownPress) -> PressObservation:
+    found = check().see(check().observe(press), press)
+    assert found.is_seen
+    return found
 
 
 @pytest.mark.slow
 def test_balls_are_seen_where_they_are_and_as_large_as_they_are() -> None:
     for press in presses():
-        view = seen(press)
-        assert math.hypot(view.x_mm - (press.x_mm or 0), view.y_mm - (press.y_mm or 0)) < 0.8, press.name
-        assert view.ball_factor > 0.8, press.name
-        assert view.ball_factor < 1.5 or view.misfit_ratio < 4, press.name
-        assert viewer().touches(press.image)
+        found = seen(press)
+        assert found.place_error_mm(*found.place_mm) < 0.8, press.name
+        assert found.ball_factor > 0.8, press.name
+        assert found.ball_factor < 1.5 or found.misfit_ratio < 4, press.name
+    assert not check().judge(unloaded()).in_contact
 
 
 @pytest.mark.slow
@@ -54,18 +49,7 @@ def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float
 def test_another_indenter_is_located_beside_its_stated_place() -> None:
     image = simulated(HALF).frame((Press(ridge(8.0, 6.0), 3.0, -2.0, 2.0),), 9).image
     stated = KnownPress("square", image, 0.0, 2.0, 3.0, -2.0, box("square", 8.0, 6.0))
-    assert math.hypot(seen(stated).x_mm - 3.0, seen(stated).y_mm + 2.0) < 0.6
+    assert seen(stated).place_error_mm(3.0, -2.0) < 0.6
     moved = seen(replace(stated, x_mm=6.0))
-    assert math.hypot(moved.x_mm - 3.0, moved.y_mm + 2.0) < 1.2
+    assert moved.place_error_mm(3.0, -2.0) < 1.2
     assert math.isnan(moved.ball_factor)
-
-
-@pytest.mark.slow
-def test_the_free_skin_shows_no_press() -> None:
-    assert viewer().view(replace(presses()[0], image=unloaded())) is None
-    assert not viewer().touches(unloaded())
-
-
-@pytest.mark.slow
-def test_the_free_skin_is_no_press() -> None:
-    assert not PressCheck(calibrated(count=0), load_networks()["accurate"]).judge(unloaded()).in_contact
