@@ -122,12 +122,13 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     except ConfigError as error:
         raise ConfigError(f"{document.where('calibration')}: {error}") from error
     source, expected = settings.source, (calibration.image_width_px, calibration.image_height_px)
-    key, size = "path", expected
+    key = "path"
+    size: tuple[int, int] | None = None
     if isinstance(source, V4l2 | Rpicam):
         key, size = "width_px", (source.width_px, source.height_px)
     elif isinstance(source, Files):
         size = sources.first_size(document, source)
-    if size != expected:
+    if size is not None and size != expected:
         raise ConfigError(
             f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
             f"expected {expected[0]}x{expected[1]} px, the size of the calibration's images"

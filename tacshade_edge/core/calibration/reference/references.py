@@ -84,7 +84,8 @@ def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
         rows, cols = -cols, rows
     i = np.rint((rows + disc.row_c - grid.row0) / grid.step_px).astype(int)
     j = np.rint((cols + disc.col_c - grid.col0) / grid.step_px).astype(int)
-    return values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
+    turned: F32 = values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
+    return turned
 
 
 def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
