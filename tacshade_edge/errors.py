@@ -1,14 +1,4 @@
-"""Every exception that this package raises on purpose.
-
-::
-
-    TacshadeError
-    ├── ConfigError   the user's settings, calibration or arguments are wrong: one line, exit 78
-    ├── DeviceError   something outside failed (camera, broker, disk): back off and retry; exit 1 in a one-shot command
-    └── DecodeError   bytes or a file could not be understood: count it and continue with the next
-
-Any other exception is a defect: it ends the process, and systemd restarts it.
-"""
+"""Every exception that this package raises on purpose. Any other one is a defect, which ends the process."""
 
 from __future__ import annotations
 
@@ -19,9 +9,7 @@ from .reasons import Reason, ReasonCode
 
 
 class TacshadeError(Exception):
-    """The base class of the three errors that are raised: one line of text, and a code for programs, by default the
-    class's own.
-    """
+    """The base class: one line of text, and a code for programs, by default the class's own."""
 
     _code: ClassVar[ReasonCode]
 
@@ -51,12 +39,14 @@ class ConfigError(TacshadeError):
 
 
 class DeviceError(TacshadeError):
-    """A camera, serial line, broker or disk failed; it may come back."""
+    """Something outside (a camera, serial line, broker or disk) failed and may come back: retry; exit 1 in a one-shot
+    command.
+    """
 
     _code = ReasonCode.DEVICE
 
 
 class DecodeError(TacshadeError):
-    """Bytes or a file that do not follow their format."""
+    """Bytes or a file that do not follow their format: count it and continue with the next."""
 
     _code = ReasonCode.DECODE

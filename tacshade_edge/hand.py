@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import repeat
 from typing import Final
 
 import numpy as np
@@ -96,8 +97,8 @@ def _published(found: ObjectMotion, left_out: tuple[str, ...]) -> Motion:
 
 
 GATHER_NS: Final = 3_000_000
-"""Longest wait of a finger's news for other fingers in contact, whose cameras do not expose together; a finger whose
-next frame is due later is not waited for. Also the shortest time between two messages."""
+"""Longest wait of a finger's news for other fingers in contact, whose next frame is due before then; shortest time
+between two messages."""
 QUIET_PERIOD_NS: Final = 100_000_000  # longest time between two messages, without contact and change
 FIRST_NS: Final = 500_000_000  # longest wait for a silent finger before the first message to a new listener
 STALLED_NS: Final = 3_000_000_000  # a finger that has reported nothing for this long is away, as in `status/camera`
@@ -180,9 +181,9 @@ Reports = Iterable[tuple[int, int, Finger]]  # a finger's `t_ns`, Unix time and 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
     """The messages that the hand would have published for reports of one clock, each made exactly when it is due."""
     aggregator = HandAggregator(tuple(fingers))
-    reports = heapq.merge(*(_named(name, own) for name, own in fingers.items()), key=lambda report: report[0])
+    reports = heapq.merge(*(zip(own, repeat(name)) for name, own in fingers.items()), key=lambda each: each[0][0])
     now_ns = wall_minus_t_ns = 0
-    for t_ns, wall_ns, name, finger in reports:
+    for (t_ns, wall_ns, finger), name in reports:
         aggregator.listen(True, t_ns)
         while (due_ns := aggregator.due_ns()) is not None and due_ns < t_ns:
             now_ns = max(now_ns, due_ns)
@@ -192,8 +193,3 @@ def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
     if (due_ns := aggregator.due_ns()) is not None:
         now_ns = max(now_ns, due_ns)
         yield aggregator.message(now_ns, now_ns + wall_minus_t_ns)
-
-
-def _named(name: str, reports: Reports) -> Iterator[tuple[int, int, str, Finger]]:
-    for t_ns, wall_ns, finger in reports:
-        yield t_ns, wall_ns, name, finger

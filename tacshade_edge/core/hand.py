@@ -22,9 +22,7 @@ from tacshade_edge.types import F64, frozen
 
 Triple = tuple[float, float, float]
 LEVER_MM: Final = 20.0  # distance from the axis of the point whose travel measures a rotation
-SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2
-"""Standard deviation of a change of shear along each axis, and its increase per mm that the patch moved, from fingers
-of a simulated hand on images, with skins that slid in part."""
+SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2  # of a change of shear along each axis, and its increase per mm of motion
 DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5  # of depth; grows over the first 1.5 mm
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
@@ -173,12 +171,10 @@ def _jacobian(arms_mm: F64) -> F64:
     return rows
 
 
-UNSEEN_MM_S: Final = 10.0
-"""Growth of the deviation of an unobserved direction, up to `UNKNOWN_SD_MM`, that a link passes to the next: 29
-degrees/s. If one finger touches a frame before the others, the object has not turned far unseen."""
+UNSEEN_MM_S: Final = 10.0  # growth of the deviation of an unobserved direction that a link passes to the next
 REST_SHARE: Final = 0.1
-"""Part of its covariance that a link without motion passes to the next: both see the same error of the instant between
-them with opposite signs, so only the difference of their weights remains."""
+"""Part of its covariance that a link without motion passes to the next: both see the error of the instant between them
+with opposite signs, so only the difference of their weights remains."""
 RECENTRED_MM: Final = 0.1  # the reported point is amid the holding patches, if that changes its motion by less
 GAIN_SD: Final = 0.2  # relative error common to all fingers' shear: skins of one make follow an object by the same part
 FARTHEST_LINE_MM: Final = 200.0  # a rotation about a line farther away counts as a translation
@@ -208,11 +204,6 @@ class ObjectMotion:
     rotation_rad: F64
     covariance: F64
     unobserved: tuple[Unobserved, ...]
-
-    def rigid(self) -> Rigid:
-        """The motion as a transform of all points of the hand's frame."""
-        rotation = turn(self.rotation_rad).rotation
-        return Rigid(rotation, self.about_mm + self.translation_mm - rotation @ self.about_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,7 +244,10 @@ class ObjectTracker:
         state = self._state
         if state is None:
             link = _begun(_Patches(stick.values()))
-            state = _linked(t_ns, link.middle_mm, shift(0.0, 0.0, 0.0), np.zeros((6, 6)), link, stick, t_ns)
+            none = np.zeros((6, 6))
+            unobserved = _unobserved(link, none)
+            whole = (t_ns, link.middle_mm, shift(0.0, 0.0, 0.0), none)
+            state = _State(*whole, link, t_ns, unobserved, stick, t_ns, _Motion())
         else:
             if stick.keys() != state.seen.keys():
                 # The motion since the last instant shows in the patches that still stick.
@@ -262,13 +256,6 @@ class ObjectTracker:
             state = _fitted(state, t_ns, stick)
         self._state = state
         return _reported(state)
-
-
-def _linked(
-    since_ns: int, about_mm: F64, base: Rigid, spread: F64, link: _Link, seen: Mapping[str, Patch], t_ns: int
-) -> _State:
-    """A state at the beginning of a link."""
-    return _State(since_ns, about_mm, base, spread, link, t_ns, _unobserved(link, spread), seen, t_ns, _Motion())
 
 
 def _next_link(state: _State, seen: Mapping[str, Patch]) -> _State:
@@ -282,7 +269,8 @@ def _next_link(state: _State, seen: Mapping[str, Patch]) -> _State:
         amid_mm = base.inverse().apply(link.middle_mm)
         change_mm = (base.rotation - np.eye(3)) @ (amid_mm - about_mm)
         about_mm = amid_mm if np.linalg.norm(change_mm) < RECENTRED_MM else about_mm
-    return _linked(state.since_ns, about_mm, base, spread, link, seen, state.seen_ns)
+    whole, unobserved = (state.since_ns, about_mm, base, spread), _unobserved(link, spread)
+    return _State(*whole, link, state.seen_ns, unobserved, seen, state.seen_ns, _Motion())
 
 
 def _fitted(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:

@@ -89,14 +89,13 @@ class Reconstructor:
             degraded=None,
             height=self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool)),
             cloud=ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)),
-            shear_mm=np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.has_shear else None,
+            shear_mm=np.repeat(self._zero_mm[..., None], 2, axis=2) if network is not None else None,
             sigma_mm=None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32),
         )
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
         self._white_space = seen.integrator.space()
-        self._own_white_space = (
-            self._white_space if seen is self._preprocessor else self._preprocessor.integrator.space()
-        )
+        shared = seen is self._preprocessor
+        self._own_white_space = self._white_space if shared else self._preprocessor.integrator.space()
 
     @overload
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...

@@ -73,9 +73,8 @@ def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocess
 
 
 class UnchangedSkin:
-    """The latest untouched skin judged in full, which saves judging most frames: all judges give the same result.
-    Frames are compared with that one, so slow changes add up. `halved`: the images, of this `shape`, are already
-    halved. `degraded`: why that frame was degraded; None if it was not.
+    """The latest untouched skin judged in full, and why it was `degraded`; it saves judging most frames: all judges
+    give the same result. Frames are compared with that one, so slow changes add up.
     """
 
     def __init__(self, shape: tuple[int, ...], disc: Disc, halved: bool) -> None:

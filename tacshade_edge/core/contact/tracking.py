@@ -21,12 +21,10 @@ import numpy as np
 
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
-ALARM = 0.25  # margin below which a contact is about to slip
 LIMIT = 0.65  # assumed ratio of mean shear to greatest depth at which a contact slides: a low one among simulated skins
 LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2  # least learned limit and least depth to divide by; less is noise
 FILTER_NS = 80_000_000  # time constant of the ratio's low pass
 SLIDE_NS = 60_000_000  # least duration of a slide: a shaken object seems to slide for a frame or two
-
 WENT_BACK = 0.85  # if the ratio falls below this part of its peak without a slide, the peak was borne
 BORNE_NS, BEYOND = 2_000_000_000, 1.5
 """A ratio held this long without a slide was borne too; before any slide, the limit is assumed this factor above it."""
@@ -45,8 +43,8 @@ REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
 
 @dataclass(slots=True)
 class Grip:
-    """The hold on one object, updated frame by frame; `limit` is the ratio at which it slides: after a slide, the
-    greatest of that slide or borne since.
+    """The hold on one object; `limit` is the ratio at which it slides: after a slide, the greatest of that or borne
+    since.
     """
 
     limit: float = LIMIT
@@ -59,9 +57,7 @@ class Grip:
     _lately: deque[tuple[int, float]] = field(default_factory=deque)  # times and ratios of the last `BORNE_NS`
 
     def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
-        """Update the hold with a frame (its time, mean shear, greatest h and slip), and return the margin from 1 (firm)
-        to 0 (the whole contact slides, or would). A frame not after the last begins another stream.
-        """
+        """Update the hold with a frame; return the margin from 1 (firm) to 0 (the whole contact slides, or would)."""
         ratio = math.hypot(*shear_mm) / max(depth_mm, LEAST_DEPTH_MM)
         if self._t_ns is None or t_ns <= self._t_ns:
             self._ratio, self._since_ns = ratio, None
@@ -113,8 +109,8 @@ class ContactTracker:
         self._count = 0
 
     def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
-        """Give a frame's objects, which come in any order with their shear, a number that is never used again, slip,
-        its speed (None until known) and margin; objects that are not among them are released.
+        """Give a frame's objects, which have shear, a number that is never used again, slip, its speed (None until
+        known), margin.
         """
         left, followed = list(self._tracks), []
         for touched in objects:

@@ -1,13 +1,18 @@
-"""Compute depth from a preprocessed image: a new solver is one file here and one line in `SOLVERS`."""
+"""Compute depth from a preprocessed image: a new solver is one file here and one line in `SOLVERS`.
 
-from tacshade_edge.core.depth.base import Depth, MakeSolver, Network, Solver
+A solver's `solve` appends the features of its network to `features`, if given; `mark` receives the stages before the
+last, ``depth``, which the caller marks. `shear_mm` is (rows, cols, 2), finite, undefined outside the disc.
+"""
+
+from collections.abc import Callable
+
+from tacshade_edge.core.depth.base import Depth, Network
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import SigmaModel
+from tacshade_edge.core.image.preprocess import Preprocessor
 
-SOLVERS: dict[str, MakeSolver] = {
-    "hybrid_sfs": HybridSfs,
-    "learned": LearnedSolver,
-}
+MakeSolver = Callable[[Preprocessor, Network | None], HybridSfs | LearnedSolver]
+SOLVERS: dict[str, MakeSolver] = {"hybrid_sfs": HybridSfs, "learned": LearnedSolver}
 
-__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "SigmaModel", "Solver"]
+__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "SigmaModel"]

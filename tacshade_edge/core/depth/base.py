@@ -1,27 +1,22 @@
-"""The interface of all solvers."""
+"""What all solvers need and give."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from tacshade_edge.core.depth.sigma import SigmaModel
-from tacshade_edge.core.geometry.disc import Grid
-from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, frozen
 
 Mark = Callable[[str], None]  # called with a stage's name at its end, so that a caller with a clock can time it
-
-
 Features = list[F32]  # collects the features for a touch model, network by network
 
 
 @frozen
 class Depth:
     """A solver's answer on its grid. `height_mm` is finite and not below 0, `contact` (None if only the heights show
-    it) is False outside the disc, where else values are undefined; `repaired_px` counts values that were not finite,
-    replaced by 0; `untrusted` cells show something other than this sensor's skin; their log odds are (M, M).
+    it) is False outside the disc; `repaired_px` counts values that were not finite, replaced by 0; `untrusted` cells
+    show something other than this sensor's skin; their log odds are (M, M).
     """
 
     height_mm: F32
@@ -49,24 +44,3 @@ class Network:
     run: Callable[..., Sequence[F32]]
     shear: Network | None = None
     sigma: SigmaModel | None = None
-
-
-class Solver(Protocol):
-    """Computes depth from the preprocessed images of one sensor, on a grid in the camera's pixels.
-
-    `solve` appends the features of its network to `features`, if given; `mark` receives the stages before the last,
-    ``depth``, which the caller marks. Shear is (rows, cols, 2), finite, undefined outside the disc, the caller's.
-    """
-
-    @property
-    def grid(self) -> Grid: ...
-
-    @property
-    def has_shear(self) -> bool: ...
-
-    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth: ...
-
-    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None: ...
-
-
-MakeSolver = Callable[[Preprocessor, Network | None], Solver]  # the network is the profile's, if it names one

@@ -97,8 +97,6 @@ def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
 class HybridSfs:
     """Solves by denoising, eq. 9, and `hybrid_depth`, without a network."""
 
-    has_shear = False
-
     def __init__(
         self,
         preprocessor: Preprocessor,
@@ -117,4 +115,4 @@ class HybridSfs:
         return self._depth(maps, self._alpha_mm)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
-        """See `Solver`; the paper has no shear."""
+        """The paper has no shear."""

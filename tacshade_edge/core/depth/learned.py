@@ -107,8 +107,6 @@ class LearnedSolver:
     is the share of white of the unloaded skin. ValueError without a network.
     """
 
-    has_shear = True
-
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
         camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
         if network is None or network.shear is None:
@@ -158,7 +156,7 @@ class LearnedSolver:
             inverse.untrusted_logit,
         )
 
-    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
+    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32:
         return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows, features)
 
 

@@ -62,8 +62,9 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
     x[:, 0] = 1
     x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(disc_map.skin_scale(geometry)))
     x[:, 2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
-    x[:, 3] = _within(contact_logit[box][chosen], _CONTACT_RANGE)
-    x[:, 4] = _within(untrusted_logit[(row + first_row) // each, (col + first_col) // each], _UNTRUSTED_RANGE)
+    untrusted = untrusted_logit[(row + first_row) // each, (col + first_col) // each]
+    for k, logit, (low, high) in ((3, contact_logit[box][chosen], _CONTACT_RANGE), (4, untrusted, _UNTRUSTED_RANGE)):
+        x[:, k] = np.clip(np.nan_to_num(logit, nan=high), low, high)
     return x
 
 
@@ -74,8 +75,3 @@ def sigma_of_scale_1(model: SigmaModel, x: F32, geometry: Geometry) -> F32:
         disc_map.skin_scale(geometry)
     )
     return sigma
-
-
-def _within(logit: F32, low_high: tuple[float, float]) -> F32:
-    """Clip log odds to a range; NaN counts as its upper end (more doubt for untrusted, contact for contact)."""
-    return np.clip(np.nan_to_num(logit, nan=low_high[1]), *low_high)

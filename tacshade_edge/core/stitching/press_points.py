@@ -18,17 +18,11 @@ from tacshade_edge.types import F32, F64, Geometry, HeightMap, Pose, frozen
 REST_NS = 300_000_000
 STEADY_MM = 0.06
 _STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
-# The outline is exact to a cell or two, and skin beyond it is skirt, off the object: confidence grows to 1 over this
-# distance into the contact.
-OUTLINE_MM = 0.8
-# In this outer part of the disc's radius the camera looks along the skin, and confidence falls to `MIN_CONFIDENCE`.
-RIM_FRACTION = 0.2
+OUTLINE_MM = 0.8  # confidence grows to 1 over this distance into the contact: skin beyond it is skirt, off the object
+RIM_FRACTION = 0.2  # outer part of the disc's radius: the camera looks along the skin, and confidence falls
 MIN_CONFIDENCE = 0.05
-# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; nearer cells are
-# subsampled.
-SPACING_MM = 0.3
-# Ratio of a point's lateral error to its height error; a lateral error times the slope is an error in height.
-_LATERAL_RATIO = 5.0
+SPACING_MM = 0.3  # of cells, which are divided or subsampled, so that a map of 0.25 mm has no holes between them
+_LATERAL_RATIO = 5.0  # of a point's lateral error, which times the slope is an error in height, to its height error
 
 
 class RestDetector:
@@ -44,9 +38,7 @@ class RestDetector:
         self._fired = True
 
     def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Take the next frame (an invalid one counts as without contact, which ends it); whether the contact has just
-        come to rest.
-        """
+        """Take the next frame (an invalid one ends a contact); whether the contact has just come to rest."""
         if not contact:
             self._fired, self._since_ns = False, 0
             return False
@@ -97,7 +89,8 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     )
     grid = Grid(h.shape[0], h.shape[1], row0, col0, step_px)
     points = skin_points(h, disc_rays(grid, geometry), geometry)
-    normals = _normals(points)
+    across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    normals = np.asarray(across / np.linalg.norm(across, axis=2, keepdims=True), np.float32)
     inside_mm = cv2.distanceTransform(contact.view(np.uint8), cv2.DIST_L2, 5) * (step_px * geometry.mm_per_px)
     to_rim = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / RIM_FRACTION
     confidence = np.clip(np.minimum(inside_mm / OUTLINE_MM, to_rim), MIN_CONFIDENCE, 1)
@@ -106,19 +99,10 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
 
 
 def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
-    """Weight of each point's z in the base frame: its confidence, reduced by the slope as a point is `_LATERAL_RATIO`
-    times as uncertain sideways.
-    """
+    """Weight of each point's z in the base frame: its confidence, reduced by the slope."""
     cosine = np.abs(press.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - cosine**2) / np.maximum(cosine, 1e-3) ** 2
     return np.asarray(press.confidence / (1 + _LATERAL_RATIO**2 * np.maximum(slope2, 0)), np.float64)
-
-
-def _normals(points: F32) -> F32:
-    """Unit normals of a grid of points (rows, cols, 3) by central differences; NaN next to a NaN."""
-    along, across = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    normal = np.cross(along, across)
-    return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True), np.float32)
 
 
 GAP_MAX_NS = 250_000_000  # poses farther apart do not show the motion in between

@@ -46,10 +46,6 @@ class OverlapCells:
     slope: F64
     height_mm: F64
 
-    def means(self, values: F64, weight: F64) -> F64:
-        """The weighted mean of the points' values in each cell, (count,)."""
-        return _means(values, weight, self.of_point)
-
 
 def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
     """Sort points (N, 3) in the base frame, with weights (N,), into cells."""
@@ -136,7 +132,7 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
     if not shared.any():
         return 0.0
     own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point by this part
-    squares = (height - cells.means(height, weight)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
+    squares = (height - _means(height, weight, cell)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
     moves = [change(reported[k], refined[k], centre_mm)[2] for k in np.unique(press_of[shared])]
     moved2 = float(np.mean(np.square(moves)))
@@ -177,7 +173,7 @@ def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, co
     # Change of the height that a point gives to its cell's middle with translation and rotation.
     normal = np.concatenate((-cells.slope, np.ones((len(at), 1))), axis=1)
     jacobian = np.concatenate((normal, np.cross(lever, normal)), axis=1)
-    mean = cells.means(height, points[:, 3])
+    mean = _means(height, points[:, 3], cell)
     weight = points[:, 3] / (SURFACE_SIGMA_MM**2 * (1 + ((height - mean[cell]) / _CAUCHY_MM) ** 2))
     total = np.bincount(cell, weight)
 

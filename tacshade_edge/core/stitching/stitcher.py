@@ -256,8 +256,8 @@ class Stitcher:
         self.points += count
 
     def finish(self, error: PoseError | None = PoseError()) -> StitchedMap:  # noqa: B008 (frozen)
-        """Find the poses, whose error by the robot is `error` (None: they are exact), leave out presses that do not
-        fit, and fuse again without outlying points.
+        """Find the poses, whose error by the robot is `error` (None: exact), leave out presses that do not fit, and
+        fuse again.
         """
         poses, disagreement_mm, part = [p.reported for p in self._presses], 0.0, 0.0
         if error is not None and self.presses > 1:

@@ -62,9 +62,7 @@ def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
 
 
 def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
-    """Predict the quantities (Q,) of a frame from its features, float32 (D,), and their standard deviations; and
-    whether the frame is like those of the table.
-    """
+    """Predict the quantities (Q,) of a frame and their deviations, and whether the frame is like those of the table."""
     standard = standardised(features, model.mean, model.deviation)
     at = standard @ model.components
     near = kernel_values(at[None], model.centres, model.width)[0]

@@ -86,8 +86,8 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN for
-    rows that do not represent other frames).
+    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN: a
+    centre).
     """
 
     rows: I64

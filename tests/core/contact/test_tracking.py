@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.core.contact.tracking import (
-    ALARM,
     LEAST_LIMIT,
     LIMIT,
     SLIDE_NS,
@@ -19,6 +18,7 @@ from tacshade_edge.core.contact.tracking import (
 from tacshade_edge.types import Slip, TouchedObject
 
 FRAME_NS = 16_666_667
+ALARM = 0.25  # margin of a contact that is about to slip
 SHEAR_MM = st.floats(-30, 30)
 FRAME = st.tuples(st.integers(0, 2**40), SHEAR_MM, SHEAR_MM, st.floats(0, 20), st.sampled_from(Slip))
 

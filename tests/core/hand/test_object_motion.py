@@ -57,10 +57,15 @@ def stepped(tracker: ObjectTracker, t_ns: int, held: Mapping[str, Patch]) -> Obj
     return found
 
 
+def rigid(found: ObjectMotion) -> Rigid:
+    rotation = turn(found.rotation_rad).rotation
+    return Rigid(rotation, found.about_mm + found.translation_mm - rotation @ found.about_mm)
+
+
 def off(found: ObjectMotion, truth: Rigid) -> tuple[float, float]:
     """In mm, amid the object, and in degrees."""
-    way = found.rigid().apply(AWAY_MM) - truth.apply(AWAY_MM)
-    turned = turned_rad(found.rigid().rotation @ truth.rotation.T)
+    way = rigid(found).apply(AWAY_MM) - truth.apply(AWAY_MM)
+    turned = turned_rad(rigid(found).rotation @ truth.rotation.T)
     return float(np.linalg.norm(way)), math.degrees(np.linalg.norm(turned))
 
 
@@ -96,7 +101,7 @@ def test_two_fingers_name_the_line_through_both_and_say_nothing_of_a_turn_about_
     assert abs(found.rotation_rad @ line) < 0.01
     assert math.degrees(math.sqrt(line @ found.covariance[3:, 3:] @ line)) > 90
     places = np.array([one.place_mm for one in first.values()])
-    assert found.rigid().apply(places) == pytest.approx(truth.apply(places), abs=0.1)
+    assert rigid(found).apply(places) == pytest.approx(truth.apply(places), abs=0.1)
 
 
 def test_one_finger_names_all_turns_and_follows_its_patch() -> None:
@@ -129,7 +134,7 @@ def test_a_finger_that_changes_makes_no_jump_and_the_motion_goes_on(change: str)
                 *(getattr(held["4"], n) for n in ("place_mm", "normal", "axis")), (5.0, 0.0, 0.0), 9.0, None, True
             )
         found = stepped(tracker, k * SECOND_NS // 60, held)
-        error = found.rigid().apply(AWAY_MM) - truth.apply(AWAY_MM)
+        error = rigid(found).apply(AWAY_MM) - truth.apply(AWAY_MM)
         assert before is None or np.linalg.norm(error - before) < 0.02, k
         last, before = found, error
     assert last is not None

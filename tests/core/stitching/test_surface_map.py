@@ -9,7 +9,6 @@ from support.calibrated_sensor import HALF, calibrated, pressed, step
 from tacshade_edge.core.stitching import stitcher
 from tacshade_edge.core.stitching.press_points import (
     MIN_CONFIDENCE,
-    NO_POINTS,
     REST_NS,
     RestDetector,
     height_weight,
@@ -186,8 +185,3 @@ def test_steep_places_say_little_of_height() -> None:
     assert tilted[middle] < 0.1 * upright[middle]
     over = height_weight(touch, turn((np.pi, 0, 0)))  # looking down
     np.testing.assert_allclose(over, upright, atol=1e-6)
-
-
-def test_without_contact_there_is_nothing() -> None:
-    height = HeightMap(np.zeros((9, 9), np.float32), np.zeros((9, 9), bool), 100.0, 100.0, 4.0)
-    assert press_points(height, calibrated().geometry) is NO_POINTS

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacshade_edge.core.touch.answer import PLAIN, belongs, imprint_of, terms, touch_by_model, touch_without_labels
+from tacshade_edge.core.touch.answer import PLAIN, belongs, imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import F32, F64, TouchedObject, TouchModel
@@ -47,12 +47,6 @@ def test_imprints_of_the_table_s_shape_belong_and_others_do_not(
     _, imprints, depth_mm = presses(200, 2, roundness)
     part = np.mean([belongs(ball_model, *one) for one in zip(depth_mm, imprints, strict=True)])
     assert least <= part <= most
-
-
-def test_terms_are_one_the_parts_of_the_range_and_their_products() -> None:
-    low, high = np.float32([0, -10, 4]), np.float32([4, 10, 4])
-    found = terms(np.array([[4.0, -5.0, 4.0]]), low, high)
-    np.testing.assert_array_equal(found, [[1, 1, -0.5, 0, 1, -0.5, 0, 0.25, 0, 0]])
 
 
 def test_an_imprint_is_of_all_that_touches_and_its_length_the_greatest_object_s() -> None:
