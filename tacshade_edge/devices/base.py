@@ -39,6 +39,7 @@ class FrameSource(Protocol):
 
 _WINDOW = 64  # number of intervals that give the period: about two seconds at 30 fps
 _ROUNDS = 2
+_REGULAR = 0.2  # relative: an interval this near the period is one period, however the estimate changes
 _FIRST = 24  # intervals before the period is trusted: about a second; then all of them are judged together
 
 
@@ -55,6 +56,7 @@ class FrameGaps:
         self._intervals_ns: deque[int] = deque(maxlen=_WINDOW)
         self._last_ns: int | None = None
         self._judged = False
+        self._until_measured = 0  # regular intervals
         self.period_ns = 0.0
 
     def add(self, t_ns: int) -> int:
@@ -67,9 +69,13 @@ class FrameGaps:
             return 0
         interval_ns = t_ns - last_ns
         self._intervals_ns.append(interval_ns)
+        self._until_measured -= 1
+        if self._until_measured > 0 and abs(interval_ns - self.period_ns) < _REGULAR * self.period_ns:
+            return 0
         self.period_ns = period_ns = _period_ns(sorted(self._intervals_ns))
         if len(self._intervals_ns) < _FIRST:
             return 0
+        self._until_measured = _WINDOW
         fresh = [interval_ns] if self._judged else list(self._intervals_ns)
         self._judged = True
         return sum(max(round(interval_ns / period_ns) - 1, 0) for interval_ns in fresh)
