@@ -31,7 +31,7 @@ def usage(words: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.mark.parametrize(
     "words",
-    ["replay LONG --out x", "evaluate --calibration c.npz --images LONG", "export --to csv LONG", "replay no --out x"],
+    ["replay LONG --out x", "export --to csv LONG", "replay no --out x"],
 )
 def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words.replace("LONG", "n" * 300).split()) == EXIT_CONFIG

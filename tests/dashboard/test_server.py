@@ -84,14 +84,6 @@ async def test_other_methods_than_get_and_head_are_not_allowed(method: str) -> N
         assert b"\r\nAllow: GET, HEAD\r\n" in said
 
 
-async def test_head_is_get_without_the_body() -> None:
-    async with running() as port:
-        for path in ("/main.js", "/none"):
-            got = await answer(port, f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
-            head = await answer(port, f"HEAD {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
-            assert head == got.partition(b"\r\n\r\n")[0] + b"\r\n\r\n"
-
-
 async def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
     async with tcp(echo) as broker, running(broker) as port:
         pages = [await websocket(port).__aenter__() for _ in range(PAGES_MAX)]
@@ -146,14 +138,6 @@ async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.L
             await flood()
         assert (await get(port, "/"))[0] == 200
     assert len(caplog.records) < 10
-
-
-async def test_the_page_is_told_when_it_may_only_look() -> None:
-    async with running() as port, running(read_only=True) as read_only:
-        _, reported, plain = await get(port, "/")
-        _, other, marked = await get(read_only, "/")
-        assert plain.replace(b'<html lang="en">', b'<html lang="en" data-read-only>') == marked != plain
-        assert reported["etag"] != other["etag"]
 
 
 async def test_it_stops_with_open_connections() -> None:

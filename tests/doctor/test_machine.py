@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
-import shutil
 import socket
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from tacshade_edge.doctor.board import (
     judge_disk,
     synchronised,
 )
-from tacshade_edge.doctor.machine import may_use, permission_fix
+from tacshade_edge.doctor.machine import permission_fix
 
 
 def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
@@ -53,22 +51,6 @@ def test_the_daemon_is_told_from_other_commands(machine: Any, words: tuple[str, 
     machine.process(7, *words)
     daemon = machine.daemon()
     assert (daemon is not None and daemon.pid == 7) is found
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become someone else")
-def test_permission_is_that_of_the_user_who_asks() -> None:
-    folder = Path(tempfile.mkdtemp())
-    folder.chmod(0o755)
-    device = folder / "device"
-    device.touch()
-    device.chmod(0o600)
-    assert may_use(device)
-    os.seteuid(65534)
-    try:
-        assert not may_use(device)
-    finally:
-        os.seteuid(0)
-        shutil.rmtree(folder)
 
 
 def test_the_fix_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
