@@ -171,37 +171,19 @@ def _counts(counted: Mapping[str, float], but: tuple[str, ...] = ()) -> Samples:
 
 _Family = type[CounterMetricFamily] | type[GaugeMetricFamily]
 _GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
+_NO_OUTCOMES: Final = ("waiting", "pre_roll")
 # `captured` is left out of the frames' outcomes, as it is their sum; `pending` may fall, so it is a gauge.
 _OF_HEALTH: Final[tuple[tuple[_Family, str, str, tuple[str, ...], Callable[[Health], Samples]], ...]] = (
     (_GAUGE, "uptime_seconds", "Time since the daemon started", (), lambda h: {(): h.uptime_s}),
     (_GAUGE, "capture_fps", "Frames per second that the camera delivered", (), lambda h: {(): h.capture_fps}),
     (_GAUGE, "delivered_fps", "Frames per second that ended as they should", (), lambda h: {(): h.delivered_fps}),
     (_GAUGE, "published_fps", "Frames per second that were published", (), lambda h: {(): h.published_fps}),
-    (
-        *(_COUNTER, "frames", "Captured frames, by outcome", ("outcome",)),
-        lambda h: _counts(h.frames, ("captured", "pending")),
-    ),
-    (
-        *(_GAUGE, "frames_pending", "Frames in progress", ()),
-        lambda h: {(): h.frames["pending"]} if "pending" in h.frames else {},
-    ),
+    (_COUNTER, "frames", "Captured frames", ("outcome",), lambda h: _counts(h.frames, ("captured", "pending"))),
+    (_GAUGE, "frames_pending", "Frames in progress", (), lambda h: {(): h.frames.get("pending", 0)}),
     (_COUNTER, "source_dropped", "Frames that never reached the daemon", (), lambda h: {(): h.source_dropped}),
-    (
-        *(
-            _GAUGE,
-            "latency_seconds",
-            "From a frame's time stamp until its result goes to the broker, latest 512 frames",
-        ),
-        *(("percentile",), lambda h: _percentiles((), h.latency_ms)),
-    ),
+    (_GAUGE, "latency_seconds", "From time stamp to broker", ("percentile",), lambda h: _percentiles((), h.latency_ms)),
     (_GAUGE, "stage_seconds", "Time that a stage takes, latest 512 frames", ("stage", "percentile"), _stages),
-    (
-        *(_GAUGE, "reason", "1 for the reason why the latest frame is invalid or degraded"),
-        *(("about", "reason_code"), _reasons),
-    ),
+    (_GAUGE, "reason", "1 for why the latest frame is invalid or degraded", ("about", "reason_code"), _reasons),
     (_COUNTER, "mqtt", "Messages to the broker, by outcome", ("what",), lambda h: _counts(h.mqtt)),
-    (
-        *(_COUNTER, "recorder_frames", "Frames for recordings, by outcome", ("what",)),
-        lambda h: _counts(h.recorder, ("waiting", "pre_roll")),
-    ),
+    (_COUNTER, "recorder_frames", "Frames for recordings", ("what",), lambda h: _counts(h.recorder, _NO_OUTCOMES)),
 )

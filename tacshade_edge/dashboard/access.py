@@ -35,22 +35,19 @@ def refusal(origin: str | None, host: str | None, allowed_origins: Collection[st
     if host is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
         return f"found a page from {origin[:80]}, expected one from here; behind a proxy, pass --origin {origin[:80]}"
     name = urlsplit(f"//{host}").hostname or ""
-    if name != "localhost" and not _is_address(name) and name not in _own_names():
+    if not _is_own(name):
         return f"found the host {name[:80]}, expected this machine; if it is this one, pass --origin {origin[:80]}"
     return ""
 
 
-def _is_address(name: str) -> bool:
+def _is_own(name: str) -> bool:
+    """Whether a host's name is an address, or a name of this machine."""
     try:
         ipaddress.ip_address(name)
     except ValueError:
-        return False
+        own = socket.gethostname().lower()
+        return name in ("localhost", own, f"{own.partition('.')[0]}.local")
     return True
-
-
-def _own_names() -> set[str]:
-    own = socket.gethostname().lower()
-    return {own, f"{own.partition('.')[0]}.local"}
 
 
 @dataclass(slots=True)

@@ -14,11 +14,9 @@ import re
 import socket
 import ssl
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
@@ -263,6 +261,7 @@ _TYPES: Final = {
     ".txt": "text/plain; charset=utf-8",
 }
 _HTML: Final = b'<html lang="en">'
+STATIC: Final = Path(__file__).parent / "static"
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +275,8 @@ class File:
 
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
     """Load every file of the page by its URL path; the page is marked if it may send no requests or has recordings."""
-    found = dict(_walk(resources.files(__package__) / "static", ""))
+    paths = [path for path in sorted(STATIC.rglob("*")) if path.suffix in _TYPES]
+    found = {f"/{path.relative_to(STATIC)}": _file(path.read_bytes(), _TYPES[path.suffix]) for path in paths}
     index = found["/index.html"]
     learns = b" data-read-only" * read_only + b" data-recordings" * recordings
     index = found["/index.html"] = _file(index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type)
@@ -303,17 +303,6 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
         # The browser revalidates every time, mostly with 304: after an upgrade no page mixes old and new files.
         "Cache-Control": "no-cache",
     }
-
-
-def _walk(folder: Traversable, path: str) -> Iterator[tuple[str, File]]:
-    for entry in folder.iterdir():
-        name = f"{path}/{entry.name}"
-        if entry.is_dir():
-            yield from _walk(entry, name)
-            continue
-        content_type = _TYPES.get(f".{entry.name.rpartition('.')[2]}")
-        if content_type is not None:
-            yield name, _file(entry.read_bytes(), content_type)
 
 
 def _file(body: bytes, content_type: str) -> File:

@@ -57,11 +57,11 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
         found += f"; the networks for {', '.join(renew)} have changed since the fit, so the shipped networks are in use"
         return calibration, (warning("calibration", found, fix),)
-    accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
-    depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
     if fitted := calibration.fitted.get(DEFAULT):
-        depth_error = f", depth error after the fit {fitted.error_mm:.2f} mm"
-    return calibration, (ok("calibration", found + depth_error),)
+        found += f", depth error after the fit {fitted.error_mm:.2f} mm"
+    elif accurate := calibration.fit.profiles.get("accurate") if calibration.fit else None:
+        found += f", depth error {accurate.depth_mae_mm:.2f} mm"
+    return calibration, (ok("calibration", found),)
 
 
 def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> Findings:

@@ -78,13 +78,10 @@ def may_use(path: Path) -> bool:
 
 def permission_fix(path: Path, usual_group: str) -> str:
     """Return the command or the step that gives this user access to the device."""
-    user = pwd.getpwuid(os.geteuid()).pw_name
     try:
         group = grp.getgrgid(path.stat().st_gid).gr_name
     except KeyError:
         group = usual_group
     if group == "root":  # no group to join: udev's rules are missing
         return "install the udev rules (systemd/install.sh does so), then plug the device in again"
-    if user in grp.getgrnam(group).gr_mem:
-        return f"{user} joined the group {group} after logging in; log out and in again"
-    return f"sudo usermod -aG {group} {user}, then log out and in again"
+    return f"sudo usermod -aG {group} {pwd.getpwuid(os.geteuid()).pw_name}, then log out and in again"

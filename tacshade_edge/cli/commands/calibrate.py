@@ -195,18 +195,10 @@ def _size(image: U8) -> str:
 
 def _print(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]) -> None:
     disc, geometry = stored.geometry.disc, stored.geometry
-    report: dict[str, Any] = {
-        "crc32": f"{stored.crc32:08x}",
-        "row_c": round(disc.row_c, 3),
-        "col_c": round(disc.col_c, 3),
-        "radius_px": round(disc.radius_px, 3),
-        "mm_per_px": round(geometry.mm_per_px, 6),
-        "f_px": round(geometry.f_px, 3),
-        "pitch_px": round(stored.pitch_px, 3),
-        "noise_grey": round(stored.noise_grey, 3),
-        "alpha": round(stored.alpha, 3),
-        **{key: round(value, 4) for key, value in calibration_file.fit_figures(stored.fit).items()},
-    }
+    figures = {"row_c": disc.row_c, "col_c": disc.col_c, "radius_px": disc.radius_px, "mm_per_px": geometry.mm_per_px}
+    figures |= {"f_px": geometry.f_px, "pitch_px": stored.pitch_px, "noise_grey": stored.noise_grey}
+    figures |= {"alpha": stored.alpha, **calibration_file.fit_figures(stored.fit)}
+    report: dict[str, Any] = {"crc32": f"{stored.crc32:08x}", **{key: round(figures[key], 6) for key in figures}}
     if args.json:
         print(json.dumps(report | more | {"warnings": list(warnings)}, indent=2))
         return

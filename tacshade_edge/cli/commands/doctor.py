@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
-        print(f"{_count(faults, 'fault')}, {_count(warnings, 'warning')}" if faults or warnings else "all is well")
+        print(f"faults: {len(faults)}, warnings: {len(warnings)}" if faults or warnings else "all is well")
         if args.bundle is not None:
             print(f"wrote {args.bundle}; look through it before you share it")
     if any(finding.check == SETTINGS for finding in faults):
@@ -101,7 +101,3 @@ def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_
         print("", *figures(judged), "", sep="\n")
         print(f"{sum(each.reason is None for each in judged)} of {len(judged)} pass")
     return EXIT_FAILED if any(each.reason for each in judged) else EXIT_OK
-
-
-def _count(some: list[Finding], word: str) -> str:
-    return f"{len(some)} {word}{'' if len(some) == 1 else 's'}"

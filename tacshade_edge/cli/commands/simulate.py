@@ -91,13 +91,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_sensor(model: SensorModel, folder: Path) -> None:
-    distance = {} if model.camera_distance_mm is None else {"camera_distance_mm": model.camera_distance_mm}
-    keys = {
-        "skin_radius_mm": model.skin_radius_mm,
-        **distance,
-        "visible_half_angle_deg": model.visible_half_angle_deg,
-        "polarity": "bright",
-    }
+    stated = {name: getattr(model, name) for name in ("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg")}
+    keys = {name: value for name, value in stated.items() if value is not None} | {"polarity": "bright"}
     (folder / "SENSOR.yaml").write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
 
 
@@ -170,20 +165,10 @@ def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[st
     shear_mm = np.full((*truth.height_mm.shape, 2), np.nan, np.float32)
     inside = np.nonzero(np.isfinite(truth.height_mm))
     shear_mm[inside] = frame.shear_mm(inside[0].astype(float), inside[1].astype(float)) if frame.presses else 0.0
-    content: dict[str, Any] = {
-        "height_mm": truth.height_mm,
-        "contact": truth.contact,
-        "row0": 0.0,
-        "col0": 0.0,
-        "step_px": 1.0,
-        "points_mm": truth.points_mm,
-        "object_points_mm": truth.object_points_mm,
-        "depth_max_mm": truth.depth_max_mm,
-        "shear_mm": shear_mm,
-        "object": name,
-        **known,
-    }
-    _write_npz(path, content)
+    names = ("height_mm", "contact", "points_mm", "object_points_mm", "depth_max_mm")
+    content: dict[str, Any] = {name: getattr(truth, name) for name in names}
+    grid = {"row0": 0.0, "col0": 0.0, "step_px": 1.0}
+    _write_npz(path, {**content, **grid, "shear_mm": shear_mm, "object": name, **known})
     return truth.depth_max_mm
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.flange import ContactFrame, FoundFlange, delay_seen, find_flange, unseen
+from tacshade_edge.core.stitching.flange import ContactFrame, delay_seen, find_flange, unseen
 from tacshade_edge.core.stitching.refinement import correction
 from tacshade_edge.core.stitching.stitcher import STEP_MM, StitchedMap
 from tacshade_edge.errors import ConfigError
@@ -148,10 +148,6 @@ def report_flange(
         print((out / FLANGE).read_text(encoding="utf-8"), end="")
         return
     print(f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
-    _print_flange(found, seen)
-
-
-def _print_flange(found: FoundFlange, seen: bool) -> None:
     sigma = np.sqrt(np.diag(found.covariance))
     values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
     within = f"within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"

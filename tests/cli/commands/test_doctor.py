@@ -38,7 +38,7 @@ def test_a_fault_is_exit_1_its_fix_stands_below_and_the_bundle_has_all(
     assert lines[0] == f"ok       settings           {config}, sensor tacshade"
     assert lines[1].startswith("fault    broker             127.0.0.1:")
     assert lines[2].startswith("         -> start the broker: sudo systemctl")
-    assert counts.startswith("1 fault, ")
+    assert counts.startswith("faults: 1, ")
     assert "\x1b" not in printed.out, "colour only on a terminal"
     assert wrote.startswith(f"wrote {bundle}; look through it")
     with zipfile.ZipFile(bundle) as files:
