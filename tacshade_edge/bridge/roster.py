@@ -18,11 +18,7 @@ T = TypeVar("T")
 
 
 class Roster(Generic[T]):
-    """At most `most` sensors; when it is full, a sensor of higher rank replaces the one of lowest rank.
-
-    ``make(sensor_id)`` returns the value to hold for a new sensor; ``rank(value)`` how likely the sensor is real: the
-    more it has published, the higher; ``close(value)`` is called when a sensor is dropped.
-    """
+    """At most `most` sensors; when it is full, one of higher `rank` replaces that of lowest rank, which is closed."""
 
     def __init__(
         self, most: int, make: Callable[[str], T], rank: Callable[[T], int], close: Callable[[T], None] = lambda _: None

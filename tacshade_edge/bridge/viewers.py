@@ -84,11 +84,7 @@ class _Connection(ServerConnection):
 
 
 class Viewers:
-    """Serves channels to viewers in its own thread; `on_change` is called there when one starts or stops watching.
-
-    Only that thread changes the viewers and channels. `missed` counts the messages that former viewers were too slow
-    to receive. Raises OSError.
-    """
+    """Serves channels to viewers in its own thread, where `on_change` is called. Raises OSError."""
 
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:
         self._on_change = on_change

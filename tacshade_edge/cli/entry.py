@@ -37,11 +37,10 @@ def entry() -> NoReturn:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process with this exit code.
+    """End the process with this exit code, though a thread may still run: slowly, or in a driver that hangs.
 
-    A thread may still run: slowly, or in a driver that hangs. When the interpreter shuts down, CPython ends such a
-    thread with ``pthread_exit`` as soon as it next requests the interpreter's lock; C++ libraries then abort the
-    process, whose exit code becomes SIGABRT's. So the interpreter shuts down only if no other thread is left.
+    CPython ends such a thread with ``pthread_exit``, for which C++ libraries abort the process, so the interpreter
+    shuts down only if no other thread is left.
     """
     _end_if_threads_are_left(code)
     sys.exit(code)

@@ -64,11 +64,7 @@ def offered(authorization: str | None) -> str | None:
 
 
 class Login:
-    """A check of tokens that counts the wrong ones of each address, all in `wrong`.
-
-    The name of the cookie that proves a browser's login contains the port, since browsers share cookies between all
-    ports of a machine; on a `secure` page, served over TLS, browsers send it only over TLS.
-    """
+    """A check of tokens that counts the wrong ones of each address; a `secure` cookie is sent only over TLS."""
 
     def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
         self._token = token.encode()

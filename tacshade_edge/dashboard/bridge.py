@@ -1,8 +1,6 @@
-"""MQTT over WebSocket to the broker's TCP port, byte by byte.
+"""MQTT over WebSocket to the broker's TCP port, byte by byte; only read-only pages' bytes are inspected.
 
 mosquitto has a WebSocket listener, but Debian 12's stalls on messages above about 4 KB, and a height map has 10 to 600.
-The bridge does not inspect the bytes, except for read-only pages (`read_only`): user, password and permissions are
-between the page and the broker.
 """
 
 from __future__ import annotations
@@ -35,10 +33,7 @@ _WILL: Final = 0x04
 
 
 class ReadOnly:
-    """A filter that passes whole packets of one page, which may log in, subscribe and acknowledge, but not publish.
-
-    Only this inspects a page's bytes, packet by packet (MQTT 3.1.1 and 5, section 2.1).
-    """
+    """A filter that passes whole packets of one page, which may log in, subscribe and acknowledge, but not publish."""
 
     def __init__(self) -> None:
         self._rest = b""

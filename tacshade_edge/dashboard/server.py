@@ -1,7 +1,4 @@
-"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket.
-
-Anyone who reaches the port can open connections, so their number and their buffers are limited.
-"""
+"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket; all of it is bounded."""
 
 from __future__ import annotations
 
@@ -200,11 +197,9 @@ async def run(
     read_only: bool = False,
     recordings: Path | None = None,
 ) -> None:
-    """Serve until `stop` is set; every connection is closed less than a second later.
+    """Serve until `stop` is set, then close every connection within a second. Raises DeviceError.
 
-    `listening(host, port)` is called once when the port is open; port 0 selects a free one. The page requires `token`
-    if there is one; pages may list, download and, unless `read_only`, play and delete the recordings in a folder.
-    Raises DeviceError if the port cannot be opened.
+    `listening(host, port)` is called once when the port is open; port 0 selects a free one.
     """
     # A port scanner or a browser that gives up is not worth a log entry; each would cause a traceback.
     quiet = logging.getLogger("websockets.server")
@@ -286,8 +281,7 @@ def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File
 def security_headers(files: Mapping[str, File]) -> dict[str, str]:
     """Return the headers of every answer: the page may only load its own files and connect to its own server.
 
-    The import map cannot be a separate file yet: it is the one inline script, allowed by its hash. ``blob:`` allows
-    the camera's picture, and the worker whose timers mqtt.js uses to keep the connection alive in a hidden tab.
+    The one inline script, the import map, is allowed by its hash; ``blob:`` allows the picture and mqtt.js's worker.
     """
     inline = re.findall(rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL)
     hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline)

@@ -32,10 +32,9 @@ def free_port() -> int:
 
 
 class Child:
-    """A started process, whose `name` is in messages and that of its log file in `folder`.
+    """A process with a log file in `folder`, in its own session: Ctrl-C reaches only the demo, which stops it.
 
-    It runs in its own session, so that Ctrl-C reaches only the demo, which then stops its processes one by one. On
-    Linux, the kernel sends it SIGTERM if the demo dies in any other way.
+    On Linux, the kernel sends it SIGTERM if the demo dies in any other way.
     """
 
     def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:

@@ -10,10 +10,7 @@ State = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One result of a check, of which several may share a name; `fix` is empty if all is well.
-
-    With a ``fault`` the daemon cannot work; with a ``warning`` it works, but worse than it could.
-    """
+    """One result of a check; with a ``fault`` the daemon cannot work, with a ``warning`` worse than it could."""
 
     check: str
     state: State

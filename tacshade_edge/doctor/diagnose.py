@@ -1,8 +1,4 @@
-"""Runs every check in order; no other module knows them all.
-
-Checks that may hang run in threads with a time limit: broker, serial ports, disk, clock, board and USB in parallel,
-then the camera's node, its frames, and what is computed from them. All end within 20 s, whatever hangs.
-"""
+"""Runs every check in order, those that may hang in threads; all end within 20 s, whatever hangs."""
 
 from __future__ import annotations
 

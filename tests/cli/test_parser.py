@@ -193,12 +193,6 @@ def test_too_low_a_limit_is_told_before_a_library_crashes(limit: str, value: int
     assert done.stderr.startswith(f"tacshade-edge: {found}")
 
 
-def test_a_defect_is_a_traceback_and_exit_1() -> None:
-    done = python("from tacshade_edge.cli import entry\nentry.main = lambda: 1 / 0\nentry.entry()", "run")
-    assert done.returncode == 1
-    assert done.stderr.rstrip().endswith("ZeroDivisionError: division by zero")
-
-
 pytest.importorskip("shtab", reason="shtab is not installed")
 
 ASK = """

@@ -139,7 +139,7 @@ def counted(stream: io.StringIO, total: int | None = 30) -> str:
 
 
 def test_in_a_pipe_it_is_a_line_every_ten_seconds() -> None:
-    lines = ["images: 10/30, 20 s left", "images: 20/30, 10 s left", "images: 30/30"]
+    lines = ["images: 10/30, 20 s left", "images: 20/30, 10 s left", "images: 30/30, 0 s left"]
     assert counted(io.StringIO()).splitlines() == lines
     assert counted(io.StringIO(), None).splitlines() == ["images: 10", "images: 20", "images: 30"]
 
@@ -147,7 +147,7 @@ def test_in_a_pipe_it_is_a_line_every_ten_seconds() -> None:
 def test_on_a_terminal_it_is_one_line_that_renews_itself() -> None:
     written = counted(Terminal())
     assert written.count("\n") == 1
-    assert written.endswith("images: 29/30, 1 s left\r\033[Kimages: 30/30\n")
+    assert written.endswith("images: 29/30, 1 s left\r\033[Kimages: 30/30, 0 s left\n")
 
 
 def test_a_message_stands_on_a_line_of_its_own() -> None:

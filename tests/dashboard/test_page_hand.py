@@ -162,22 +162,3 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
     assert first[1] == pytest.approx(-80 * math.sin(turned)), "what has x < 0 goes up"
     shows(page, "whole-axes", "since it was grasped moved by 0.0 mm, turned by 10.0°")
     picture(page, "dashboard-hand-moved", (1200, 960))
-
-
-def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, WholeHand]) -> None:
-    address, whole = hand
-    opened(page, address, "middle")
-    tab = "//nav/button[text()='hand left']"
-    wait_until(lambda: bool(page.find_elements(By.XPATH, tab)), 15, "a tab of the hand")
-    assert js(page, "tacshade.sensor") == "middle"
-    page.find_element(By.XPATH, tab).click()
-
-    def followed() -> bool:
-        whole.publish(None)
-        return len(page.find_elements(By.CSS_SELECTOR, "#whole-maps figure")) == 5
-
-    wait_until(followed, 15, "the hand's fingers")
-    assert js(page, "tacshade.sensor") is None
-    page.find_elements(By.CSS_SELECTOR, "#whole-maps a")[1].click()
-    wait_until(lambda: js(page, "tacshade.sensor") == "index", 15, "the finger alone")
-    assert not page.find_element(By.ID, "whole").is_displayed()

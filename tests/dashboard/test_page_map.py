@@ -106,11 +106,6 @@ def test_a_stitching_session_is_commanded_through_requests(
     press("add")
     assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
     shows(page, "answer", "Added press 4.")
-    press("abort")
-    page.switch_to.alert.dismiss()
-    status("ending", "pad-1", 4)
-    wait_until(lambda: not page.find_element(By.NAME, "end").is_enabled(), 15, "nothing more while it ends")
-    status("open", "pad-1", 4)
     press("end")
     assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
     shows(page, "answer", "Made the map of pad-1 from 3 of 4 presses.")

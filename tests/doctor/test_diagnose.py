@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import os
-import socket
 import threading
 import time
 import zipfile
@@ -24,7 +22,7 @@ from tacshade_edge.settings import Document, load
 from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
-from tools.testbed.patience import patience, stretched
+from tools.testbed.patience import patience
 
 
 @pytest.fixture
@@ -75,30 +73,6 @@ def test_without_the_camera_the_calibration_is_read_and_a_check_that_breaks_is_o
     assert (found["camera"].state, found["calibration"].state) == ("fault", "ok")
     assert "sensor" not in found
     assert "ValueError" in found["board"].found
-
-
-@pytest.mark.broker  # for its seconds of waiting
-def test_a_driver_and_a_broker_that_hang_are_left(config: Path, machine: Any) -> None:
-    """A pipe without a writer hangs whoever opens it, as a broken driver does; where a file should be it is told."""
-    pipe = config.with_name("pipe")
-    os.mkfifo(pipe)
-    machine.put("/sys/devices/platform/soc/soc:firmware/get_throttled", "")
-    driver = machine.at("/sys/devices/platform/soc/soc:firmware/get_throttled")
-    driver.unlink()
-    os.mkfifo(driver)
-    with socket.socket() as silent:
-        silent.bind(("127.0.0.1", 0))
-        silent.listen()
-        config.write_text(
-            f"calibration: pipe\nmqtt: {{host: 127.0.0.1, port: {silent.getsockname()[1]}}}\n"
-            "source: {kind: simulated}\n"
-        )
-        began_s = time.monotonic()
-        found = by_check(config, machine)
-        took_s = time.monotonic() - began_s
-    assert {found[check].state for check in ("broker", "board", "calibration")} == {"fault"}
-    assert took_s < stretched(20)
-    os.close(os.open(driver, os.O_RDWR | os.O_NONBLOCK))
 
 
 @pytest.mark.parametrize(

@@ -95,20 +95,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(path: Path, result: Reconstruction) -> None:
-    height = result.height
-    more = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
-    untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
+    height, cloud = result.height, result.cloud
+    arrays = {name: getattr(height, name) for name in ("height_mm", "contact", "row0", "col0", "step_px")}
+    arrays |= {name: getattr(result, name) for name in ("shear_mm", "sigma_mm") if getattr(result, name) is not None}
+    arrays["untrusted"] = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
     stream = io.BytesIO()
-    np.savez_compressed(
-        stream,
-        **{name: array for name, array in more.items() if array is not None},
-        height_mm=height.height_mm,
-        contact=height.contact,
-        untrusted=untrusted,
-        row0=height.row0,
-        col0=height.col0,
-        step_px=height.step_px,
-        points_mm=result.cloud.points_mm,
-        labels=result.cloud.labels.astype(np.int32),
-    )
+    np.savez_compressed(stream, **arrays, points_mm=cloud.points_mm, labels=cloud.labels.astype(np.int32))
     write_whole(path, stream.getvalue(), sync=False)

@@ -122,10 +122,7 @@ def _line(s: dict[str, Any]) -> str:
 def report_flange(
     frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
 ) -> None:
-    """Find flange_T_sensor and the delay, write them to `out` and print them.
-
-    Raises ConfigError: too few presses, a motion is missing, or the presses agree at no pose near the start.
-    """
+    """Find flange_T_sensor and the delay, write and print them. Raises ConfigError if the presses do not tell them."""
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:
         expected = f"expected at least {PRESSES_MIN} presses {_PLAN}"

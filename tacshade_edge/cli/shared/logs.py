@@ -1,8 +1,4 @@
-"""The log of long-running commands: one line per message, and repeated messages are limited so they hide no others.
-
-Messages contain text from outside: topics, requests, file names, headers. The log's handler escapes all of it, so that
-no text can look like a separate line or send commands to a terminal.
-"""
+"""The log of long-running commands: one line per message, repeated ones limited; text from outside is escaped."""
 
 from __future__ import annotations
 

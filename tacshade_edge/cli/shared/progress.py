@@ -35,9 +35,11 @@ class Progress:
         if now_s - self._said_s < (_TERMINAL_PERIOD_S if self._live else PERIOD_S) and not (is_last and self._is_open):
             return
         self._said_s = now_s
-        text = f"{what}: {done}" + (
-            "" if total is None else f"/{total}{self._left(now_s - self._began_s, done, total)}"
-        )
+        text = f"{what}: {done}" + ("" if total is None else f"/{total}")
+        passed_s = now_s - self._began_s
+        if total and done and passed_s > _ESTIMATE_AFTER_S:
+            left_s = passed_s * (total - done) / done
+            text += f", {left_s:.0f} s left" if left_s < 90 else f", {left_s / 60:.0f} min left"
         if not self._live:
             print(text, file=self._stream, flush=True)
             return
@@ -56,17 +58,3 @@ class Progress:
         if self._is_open:
             print(file=self._stream, flush=True)
             self._is_open = False
-
-    @staticmethod
-    def _left(passed_s: float, done: int, total: int) -> str:
-        if not 0 < done < total or passed_s < _ESTIMATE_AFTER_S:
-            return ""
-        return f", {duration(passed_s * (total - done) / done)} left"
-
-
-def duration(seconds: float) -> str:
-    """Return a duration as text: ``40 s``, ``12 min``, ``2 h 5 min``."""
-    minutes = round(seconds / 60)
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -18,7 +18,6 @@ from tacshade_edge.cli import main
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.runs import HEIGHTS, payloads
 from tacshade_edge.storage.tables.frame_table import HEADER, read_table
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
@@ -141,25 +140,6 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     err = capsys.readouterr().err
     assert "a: already exists" in err
     assert err.count("\n") == 1
-
-
-def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen: Subscriber) -> None:
-    daemon = start("run")
-    client = start("record", "--seconds", "600", "--name", "a")
-    wait_until(lambda: recording_frames(seen) > 20, 30, "a recording")
-    reported = recording_frames(seen)
-    daemon.kill()
-    said, errors = client.communicate(timeout=patience(30))
-    rec = tmp_path / "recs" / "a"
-    assert (client.returncode, said, errors.count("\n")) == (1, "", 1)
-    assert errors.startswith(f"tacshade-edge: {rec}: the daemon is offline")
-    assert Recording(rec).cut_off
-    images = len(list(rec.glob("*.png")))
-    frames = len(replayed(rec, tmp_path / "run"))
-    assert frames >= reported
-    assert images - 1 <= frames <= images
-    events = [json.loads(line) for line in (rec / "events.jsonl.part").read_text().splitlines()]
-    assert events[0]["kind"] == "start"
 
 
 def test_a_signal_ends_the_recording_and_the_daemon_goes_on_until_it_is_stopped(
