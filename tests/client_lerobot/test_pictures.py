@@ -77,20 +77,9 @@ def test_millimetres_come_back_to_half_a_grey_level(height_mm: Any, shear_mm: An
     assert np.all(np.abs(height - height_mm)[~outside] <= HALF_STEP_MM)
     assert np.all(np.abs(shear - shear_mm)[~outside] <= HALF_STEP_MM)
     np.testing.assert_array_equal(colours.to_rgb(height, shear), picture)
-
-
-@given(
-    npst.arrays(np.float32, (3, 3), elements=st.floats(width=32)),
-    npst.arrays(np.float32, (3, 3, 2), elements=st.floats(width=32)),
-)
-def test_extremes_are_clipped_and_never_wrapped(height_mm: Any, shear_mm: Any) -> None:
-    with np.errstate(over="ignore"):
-        picture = colours.to_rgb(height_mm, shear_mm)
-    inside = ~np.isnan(height_mm)
-    assert picture[inside].min(initial=255) >= 1
-    assert (picture[inside & (height_mm > 6.4)][:, 0] == 255).all()
-    assert (picture[inside & (height_mm < 0)][:, 0] == 1).all()
-    assert (picture[inside & (shear_mm[..., 0] < -3.2)][:, 1] == 1).all()
+    height_mm[0, :3], shear_mm[0] = (1e30, -5.0, 1.0), -1e30  # clipped, never wrapped
+    picture = colours.to_rgb(height_mm, shear_mm)
+    assert (picture[0, :3, 0].tolist(), picture[0, :3, 1:].max()) == ([255, 1, 41], 1)
 
 
 def message(part: str, payload: bytes) -> Message:

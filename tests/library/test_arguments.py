@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.calibrated_sensor import calibrated
 
 import tacshade_edge as ts
@@ -72,12 +69,3 @@ def test_what_no_broker_takes() -> None:
         refused(lambda: ts.listen(CLOSED, sensor_id), "sensor_id", "the sensor_id of")  # noqa: B023
     with pytest.raises(ts.ConfigError, match=r"^password: found a password without a username, expected both$"):
         ts.listen(CLOSED, "drawn", password="word")
-
-
-@pytest.mark.slow
-@given(st.text(max_size=300))
-def test_any_text_is_read_or_refused(text: str) -> None:
-    """A file that is there by chance would be no calibration either."""
-    for made in (ts.load, ts.read, ts.decode_file):
-        with contextlib.suppress(ts.ConfigError, ts.DecodeError):
-            made("/nowhere/" + text)

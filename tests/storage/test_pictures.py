@@ -1,53 +1,27 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.pictures import (
     BAR_PX,
-    BOTTOM_PX,
     LEFT_PX,
     PREVIEW_PX,
-    RIGHT_PX,
     SHEET_COLUMNS,
     TILE_PX,
     TOP_PX,
     contact_sheet,
-    panel,
     preview,
     tile,
 )
 from tacshade_edge.types import U8, Frame, Reconstruction
-from tools.testbed.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
-
-GEOMETRY = painted_calibration().geometry
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 
 
 def result_of(image: U8) -> Reconstruction:
     return make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, image))
-
-
-@pytest.mark.parametrize("image", [FREE, TOUCHED, BLACK], ids=["free", "touched", "black"])
-@pytest.mark.parametrize("colour", [False, True])
-def test_a_picture_of_every_outcome(image: U8, colour: bool) -> None:
-    shown = np.dstack([image] * 3) if colour else image
-    picture = panel(shown, result_of(image), GEOMETRY)
-    assert picture.dtype == np.uint8
-    width = LEFT_PX + WIDTH + RIGHT_PX
-    assert picture.shape[1:] == (2 * width + BAR_PX, 3)
-    at = slice(TOP_PX, TOP_PX + HEIGHT), slice(LEFT_PX, LEFT_PX + WIDTH)
-    np.testing.assert_array_equal(picture[at], np.dstack([image] * 3))
-    assert (picture[TOP_PX, width + LEFT_PX] == 255).all()  # outside the disc
-    assert (picture[TOP_PX + HEIGHT + BOTTOM_PX :] < 128).any()  # the legend says something
-    # Each side has its scale in ink: rows and mm at the left, columns and mm below, the bar's mm at the right.
-    for area in (picture[at[0], :LEFT_PX], picture[at[0], width : width + LEFT_PX], picture[at[0], -BAR_PX + 20 :]):
-        assert (area < 128).any()
-    below = picture[TOP_PX + HEIGHT + 6 : TOP_PX + HEIGHT + BOTTOM_PX]
-    assert (below[:, :width] < 128).any()
-    assert (below[:, width : 2 * width] < 128).any()
 
 
 def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:

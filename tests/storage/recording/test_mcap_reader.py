@@ -46,17 +46,11 @@ def read(path: Path, content: bytes) -> tuple[list[int], list[str]]:
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
-    inside = described() + message(b"a", 5) + message(b"b", 6)
-    content = file_of(chunk(PACKINGS[packing](inside), packing, len(inside), zlib.crc32(inside)))
-    assert read(tmp_path / "a.mcap", content) == ([5, 6], [])
-
-
-@pytest.mark.parametrize("packing", PACKINGS)
 def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path: Path, packing: str) -> None:
     inside = message(b"a", 5)
     packed, crc = PACKINGS[packing](inside), zlib.crc32(inside)
     good = chunk(packed, packing, len(inside), crc)
+    assert read(tmp_path / "a.mcap", file_of(described() + good)) == ([5], [])
     bad = (
         chunk(packed, packing, len(inside) + 1, crc),
         chunk(packed, packing, len(inside) - 1, crc),
