@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.stitcher import Raster
-from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
@@ -77,11 +76,8 @@ def colour_bar(height_px: int, top: float, label: str) -> U8:
 
 
 def write_picture(path: Path, picture: U8) -> None:
-    """Write a picture, uint8 BGR, as PNG. Raises DeviceError."""
-    ok, data = cv2.imencode(".png", picture)
-    if not ok:
-        raise DeviceError(f"{path}: cannot encode the picture")
-    path.write_bytes(data.tobytes())
+    """Write a picture, uint8 BGR, as PNG."""
+    path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
 
 
 def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:

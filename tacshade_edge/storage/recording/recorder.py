@@ -149,11 +149,11 @@ class McapRecorder(Recorder):
         """Write no table: the MCAP files hold the times and poses."""
 
     def _write(self, name: str, frame: Frame, png: bytes) -> None:
-        if self._open is not None and (
-            self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
-        ):
-            self._end_file()
         try:
+            if self._open is not None and (
+                self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
+            ):
+                self._end_file()
             if self._open is None:
                 self._begin_file(frame)
             assert self._open is not None
