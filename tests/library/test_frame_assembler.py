@@ -107,27 +107,6 @@ def test_the_end_of_a_contact_and_what_follows_are_zero_on_the_same_grid() -> No
     assert frames.passed_over == 0
 
 
-@pytest.mark.slow
-def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
-    made = of(step("fast", pressed("ball", 2.0).image), 7)
-    sent = published(made)
-    without_cloud = [message for message in sent if message[0] != "cloud"]
-    assert not heard(*without_cloud).whole
-    unplaced = FrameAssembler()
-    for message in sent:
-        unplaced.add(*message)
-    assert unplaced.take() is None
-    assert unplaced.passed_over == 1
-    other = heard(*sent)
-    changed = replace(calibrated(), crc32=1)
-    other.add("info", messages.encode_info(version="1", config_digest="", profile="fast", calibration=changed))
-    assert other.take() is None
-    newer = heard(*sent, *published(of(made, 8)))
-    result = newer.take()
-    assert result is not None
-    assert (result.seq, newer.passed_over) == (8, 1)
-
-
 @given(st.lists(st.tuples(st.sampled_from(TOPICS), st.binary(max_size=200))))
 def test_no_bytes_break_it(sent: list[tuple[str, bytes]]) -> None:
     frames = heard()
@@ -154,6 +133,22 @@ def show(frames: FrameAssembler, result: Reconstruction, other: Reconstruction |
     if other.sigma_mm is not None:
         frames.add("sigma", wire.encode_sigma(other, calibration_crc32=CRC))
     frames.add("contact", messages.encode_contact(result, fps=30.0))
+
+
+def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
+    incomplete, unplaced, other, newer = faulty(), FrameAssembler(), faulty(), faulty()
+    incomplete.add("height", wire.encode_height(TOUCHED, calibration_crc32=CRC))
+    incomplete.add("contact", messages.encode_contact(TOUCHED, fps=30.0))
+    assert not incomplete.whole
+    for frames in (unplaced, other, newer):
+        show(frames, TOUCHED)
+    other.add("info", json.dumps({**INFO, "geometry": {**INFO["geometry"], "calibration_crc32": 1}}).encode())
+    assert unplaced.take() is other.take() is None
+    assert unplaced.passed_over == other.passed_over == 1
+    show(newer, replace(TOUCHED, seq=8))
+    result = newer.take()
+    assert result is not None
+    assert (result.seq, newer.passed_over) == (8, 1)
 
 
 @pytest.mark.parametrize(
