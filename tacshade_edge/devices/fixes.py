@@ -49,8 +49,6 @@ OF_CSI_CAMERAS = {
 # Reason codes of CONNACK, MQTT 5.
 _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
-# X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
-_OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
 MESSAGE_SIZE_FIX = (
     "raise message_size_limit and max_packet_size in the broker's configuration to at least 1000000 bytes, "
     "or remove them"
@@ -68,33 +66,20 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
     match error:
         case socket.gaierror():
             return "is mqtt.host spelled correctly, and is the network up? Try: getent hosts " + host
-        case ssl.SSLCertVerificationError():
-            return certificate_fix(error, host)
         case ssl.SSLError():
-            return "is mqtt.port the broker's TLS port (often 8883)? To connect without TLS, omit mqtt.ca_file"
+            authority = "is mqtt.ca_file the PEM file of the CA that signed the broker's certificate"
+            asked = f"{authority}, is {host} a name in it (subjectAltName), and is this machine's clock right?"
+            return f"{asked} If the port does not use TLS, omit mqtt.ca_file"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             install = "sudo apt install mosquitto"
             return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
         case ConnectionRefusedError():
-            return (
-                "is the broker running, and does it accept connections from other machines on mqtt.port "
-                "(mosquitto: `listener`)?"
-            )
-        case ConnectionError() | EOFError() if tls_ca:
-            return "the port may not use TLS: omit mqtt.ca_file, or set mqtt.port to the broker's TLS port (often 8883)"
+            return "is the broker running, and does it accept other machines on mqtt.port (mosquitto: `listener`)?"
+        case ConnectionError() | EOFError() | TimeoutError() if tls_ca:
+            return "is mqtt.port the broker's TLS port (often 8883)? If it does not use TLS, omit mqtt.ca_file"
         case TimeoutError():
-            asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
-            return f"{asked} Is mqtt.port the broker's TLS port?" if tls_ca else asked
+            return f"is the address right, is the machine on, and is its firewall open for port {port}?"
     return "is the network up, and is mqtt.host right?"
-
-
-def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
-    """Return what to do about a rejected certificate."""
-    if error.verify_code in _OUT_OF_TIME:
-        return "check this machine's clock, or renew the broker's certificate"
-    if error.verify_code in _OTHER_NAME:
-        return f"set mqtt.host to a name in the certificate, or issue a certificate for {host} (subjectAltName)"
-    return "set mqtt.ca_file to a PEM file with the CA certificate that signed the broker's certificate"
 
 
 def no_answer_fix(tls_ca: str | None) -> str:
