@@ -137,6 +137,8 @@ def _report(args: argparse.Namespace) -> int:
     for name in ("profile", "calibration", "images", "budget_ms", "fps", "fingers", "outputs", "sensors", "objects"):
         if getattr(args, name) is not None:
             args.parser.error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
+    if args.json:
+        args.parser.error("--report prints Markdown: expected no --json")
     args.report, args.outputs, args.sensors = False, ("height",), study.sensors("default")
     machine = Machine()
     facts, before = board_facts(machine), heat(machine)
