@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from support.half_family import HALF_SENSOR, half_family
 
+from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.press import PAPER_OBJECTS
@@ -25,8 +26,6 @@ from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import (
     DEPTHS_MM,
     RINGS,
-    Evaluation,
-    Plan,
     SensorName,
     calibrated,
     evaluate,
@@ -68,11 +67,6 @@ def test_every_place_and_depth_once_and_the_same_again() -> None:
     assert places(model, 6) != places(model, 5)
 
 
-PLAN = Plan(
-    (HALF_SENSOR,), ("fast",), objects=("ball", "ring"), references=3, presses=8, depths_mm=(2.0,), null_frames=5
-)
-
-
 def quiet(what: str, done: int, total: int) -> None:
     assert 0 <= done <= total
 
@@ -84,18 +78,20 @@ def family() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def found() -> Evaluation:
-    return evaluate(PLAN, ThisProcess(), quiet)
+def found() -> tuple[list[Row], list[CalibrationResult]]:
+    given = {"references": 3, "presses": 8, "null_frames": 5}
+    return evaluate((HALF_SENSOR,), ("fast",), ("ball", "ring"), ThisProcess(), quiet, depths_mm=(2.0,), **given)
 
 
 @pytest.mark.slow
-def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> None:
-    assert [r.object for r in found.rows] == ["ball"] * 3 + ["ring"] * 3 + ["none"] * 5
-    assert {(r.sensor, r.profile) for r in found.rows} == {("half:default", "fast")}
-    assert all(r.valid and r.contact and r.iou > 0.3 and r.me_mm < 2 for r in found.rows if r.object == "ball")
-    assert not any(r.contact for r in found.rows if r.object == "none")
-    assert [r.image for r in found.rows[-5:-3]] == ["", "light x0.8"]
-    fit = found.calibrations[0].calibration.fit
+def test_a_row_for_every_press_and_frame_without_contact(found: tuple[list[Row], list[CalibrationResult]]) -> None:
+    rows, calibrations = found
+    assert [r.object for r in rows] == ["ball"] * 3 + ["ring"] * 3 + ["none"] * 5
+    assert {(r.sensor, r.profile) for r in rows} == {("half:default", "fast")}
+    assert all(r.valid and r.contact and r.iou > 0.3 and r.me_mm < 2 for r in rows if r.object == "ball")
+    assert not any(r.contact for r in rows if r.object == "none")
+    assert [r.image for r in rows[-5:-3]] == ["", "light x0.8"]
+    fit = calibrations[0].calibration.fit
     assert fit is not None
     assert fit.presses == 8
 

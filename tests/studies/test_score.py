@@ -28,7 +28,7 @@ from tacshade_edge.studies.evaluate.score import (
     score,
     score_cloud,
 )
-from tacshade_edge.studies.evaluate.work import evaluate_images, read_images, reconstructor
+from tacshade_edge.studies.evaluate.work import read_images, reconstructor, score_cases
 from tacshade_edge.types import F32, Bool, Frame, HeightMap, Reconstruction
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
@@ -169,7 +169,7 @@ class Heard:
 def scored(folder: Path) -> tuple[list[Row], list[str]]:
     heard = Heard([])
     cases = read_images(CALIBRATION, "mine", sorted(folder.glob("*.png")), heard.progress, heard.mistake)
-    return evaluate_images(CALIBRATION, ("fast",), cases), heard.lines
+    return score_cases(CALIBRATION, ("fast",), cases), heard.lines
 
 
 def test_own_images_score_as_the_metrics_do(tmp_path: Path) -> None:

@@ -22,14 +22,7 @@ from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.studies.evaluate import labelled as labels
 from tacshade_edge.studies.evaluate import report
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.work import (
-    PRESSES,
-    REFERENCES,
-    Plan,
-    evaluate,
-    evaluate_images,
-    reconstructor,
-)
+from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, evaluate, reconstructor, score_cases
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
@@ -65,16 +58,11 @@ def _simulated(args: argparse.Namespace) -> int:
         args.parser.error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
     if args.references == 0:
         args.parser.error("--references: found 0, expected at least 1")
-    plan = Plan(
-        sensors=args.sensors or study.sensors(WORKING_SENSORS),
-        profiles=_profiles(args),
-        objects=args.objects or tuple(OBJECTS),
-        references=args.references or REFERENCES,
-        presses=presses,
-    )
+    names, profiles = args.sensors or study.sensors(WORKING_SENSORS), _profiles(args)
+    objects, references = args.objects or tuple(OBJECTS), args.references or REFERENCES
     study.make_folder(args.out)
     with workers() as pool:
-        found = evaluate(plan, pool, Progress())
+        rows, found = evaluate(names, profiles, objects, pool, Progress(), references=references, presses=presses)
     sensors = [
         {
             "name": str(name),
@@ -82,15 +70,16 @@ def _simulated(args: argparse.Namespace) -> int:
             "fit": calibration_file.fit_figures(made.calibration.fit),
             "warnings": list(made.warnings),
         }
-        for name, made in zip(plan.sensors, found.calibrations, strict=True)
+        for name, made in zip(names, found, strict=True)
     ]
-    _publish(args, found.rows, {**asdict(plan), "sensors": sensors})
+    settings = {"profiles": profiles, "objects": objects, "references": references, "presses": presses}
+    _publish(args, rows, {**settings, "sensors": sensors})
     return 0
 
 
 def _own(args: argparse.Namespace) -> int:
     calibration, cases, mistakes = study.own_images(args)
-    rows = evaluate_images(calibration, _profiles(args), cases)
+    rows = score_cases(calibration, _profiles(args), cases)
     if not rows:
         raise ConfigError(f"{args.images}: found no image to score, expected at least one image with a truth file")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}

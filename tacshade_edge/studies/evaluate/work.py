@@ -223,46 +223,50 @@ def null_cases(name: SensorName | str, sensor: PressedSensor, count: int) -> Ite
         yield Case(Label(str(name), "none", what), KnownTruth(NOTHING, 0.0, None), image)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The plan of an evaluation, with numbers of images for each sensor; equal plans give equal rows."""
+def evaluate(
+    sensors: Sequence[SensorName],
+    profiles: Sequence[str],
+    objects: Sequence[str],
+    workers: Workers,
+    report: Report,
+    *,
+    references: int = REFERENCES,
+    presses: int = PRESSES,
+    depths_mm: Sequence[float] = DEPTHS_MM,
+    null_frames: int = NULL_FRAMES,
+) -> tuple[list[Row], list[CalibrationResult]]:
+    """A row for each frame and profile, and each sensor's calibration; the same again for the same values.
 
-    sensors: tuple[SensorName, ...]
-    profiles: tuple[str, ...]
-    objects: tuple[str, ...] = tuple(OBJECTS)
-    references: int = REFERENCES
-    presses: int = PRESSES
-    depths_mm: tuple[float, ...] = DEPTHS_MM
-    null_frames: int = NULL_FRAMES
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
-    """The result of a plan: a row for each frame and profile, and each sensor's calibration."""
-
-    rows: tuple[Row, ...]
-    calibrations: tuple[CalibrationResult, ...]
-
-
-def evaluate(plan: Plan, workers: Workers, report: Report) -> Evaluation:
-    """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    found = tuple(calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report))
-    known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
-    tasks = [(*each, what) for each in known for what in (*plan.objects, None)]
-    rows = chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects pressed"))
-    return Evaluation(tuple(rows), found)
+    Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
+    """
+    found = calibrate_sensors(sensors, references, presses, workers, report)
+    tasks = [
+        (name, made.calibration, what) for name, made in zip(sensors, found, strict=True) for what in (*objects, None)
+    ]
+    job = partial(_rows, tuple(profiles), depths_mm, null_frames)
+    return list(chain.from_iterable(reported_map(job, tasks, workers, report, "objects pressed"))), found
 
 
-def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
+def _rows(
+    profiles: Sequence[str],
+    depths_mm: Sequence[float],
+    null_frames: int,
+    task: tuple[SensorName, Calibration, str | None],
+) -> list[Row]:
     """Score every profile on every press of one object on one sensor, or on frames without contact."""
-    plan, name, calibration, object_name = task
+    name, calibration, object_name = task
     sensor = name.make()
-    made = [reconstructor(calibration, profile) for profile in plan.profiles]
     cases = (
-        null_cases(name, sensor, plan.null_frames)
+        null_cases(name, sensor, null_frames)
         if object_name is None
-        else press_cases(name, sensor, scenes(sensor.model, name.seed, object_name, plan.depths_mm))
+        else press_cases(name, sensor, scenes(sensor.model, name.seed, object_name, depths_mm))
     )
+    return score_cases(calibration, profiles, cases)
+
+
+def score_cases(calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]) -> list[Row]:
+    """Score images one after another in this process."""
+    made = [reconstructor(calibration, profile) for profile in profiles]
     return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]
 
 
@@ -284,9 +288,3 @@ def read_images(
             continue
         yield Case(Label(sensor, name if len(truth.points_mm) else "none", encodable(path.name)), truth, image)
     report("images", len(images), len(images))
-
-
-def evaluate_images(calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]) -> list[Row]:
-    """Score images one after another in this process."""
-    made = [reconstructor(calibration, profile) for profile in profiles]
-    return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]

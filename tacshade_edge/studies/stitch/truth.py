@@ -135,12 +135,7 @@ _UNTOUCHED_GREY = 225
 
 
 def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
-    """The picture, over the known surface, seen from above with y upwards."""
-    return cv2.imencode(".png", comparison(known, found, average))[1].tobytes()
-
-
-def comparison(known: Raster, found: Raster, average: Raster) -> U8:
-    """The picture, uint8 (H, W, 3) BGR; the first three panels share one colour scale."""
+    """The picture over the known surface, seen from above with y upwards; three panels share one colour scale."""
     low, high = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
     ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
     error = (ours - known.z_mm + _ERROR_MM) / (2 * _ERROR_MM)
@@ -151,7 +146,7 @@ def comparison(known: Raster, found: Raster, average: Raster) -> U8:
         _panel(f"map less known: blue -{_ERROR_MM:g}, red {_ERROR_MM:g} mm and more", error, _blue_white_red()),
     ]
     panels = [cv2.copyMakeBorder(p, 0, _GAP_PX, 0, _GAP_PX, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for p in panels]
-    return np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:])))
+    return cv2.imencode(".png", np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:]))))[1].tobytes()
 
 
 def _viridis() -> U8:
