@@ -146,7 +146,7 @@ def _draw(task: tuple[Path, str]) -> list[Path]:
     by_skin, drawn = dict[int, Path](), list[Path]()
     felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
-        key = id(felt.skin) if felt.truth.press else 0
+        key = id(felt.skin) if felt.press else 0
         if key not in by_skin:
             by_skin[key] = folder / f"{k:03d}.png"
             picture = sensor.picture(felt.skin, noise_seed=k)

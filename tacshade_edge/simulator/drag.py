@@ -22,7 +22,6 @@ import numpy as np
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, distances_mm
 from tacshade_edge.simulator.skin import (
-    Load,
     Skin,
     Solver,
     chart_to_direction,
@@ -35,15 +34,9 @@ from tacshade_edge.simulator.skin import (
     press_skin,
     slid,
     solve,
-    summed,
     undeformed,
 )
-from tacshade_edge.types import F32, F64, I64, Slip
-
-STICKS = 0.9
-"""Least part of a contact that moves with the object if it sticks: the outermost ring of any contact slides."""
-SLIDES = 0.02
-"""Greatest part of a contact that moves with the object if it slides as a whole."""
+from tacshade_edge.types import F32, F64, I64
 
 _EVERY = 2  # step of this grid in nodes of the skin's grid: w is smooth
 _TOUCHING_MM = 1e-3
@@ -75,12 +68,11 @@ class Mechanics:
 
     `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a sway (2,) in mm at
     the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts, the grid's mass weights
-    (`skin.mass_weight`), its step and the model. `traction`: q / kt (2, rows, cols) that holds such a w.
+    (`skin.mass_weight`), its step and the model.
     """
 
     lean: Callable[[F64, F64], F64]
     carry: Callable[[Contacts, F32, float, SensorModel], F32]
-    traction: Callable[[F32, F32, float, SensorModel], F32]
 
 
 def drag_skin(
@@ -153,13 +145,11 @@ def _swaying(
     contacts = _contacts(skin, direction, node - before, model, presses)
     weight = mass_weight(radius_mm, skin.step_mm, len(node) // 2)[::_EVERY, ::_EVERY]
     carried = mechanics.carry(contacts, weight, skin.step_mm * _EVERY, model)
-    traction = mechanics.traction(carried, weight, skin.step_mm * _EVERY, model)
     moved_mm = contacts.held_mm + (node - before)[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     at_contacts = carried[:, contacts.rows, contacts.cols].T
     ahead = contacts.held_mm - at_contacts
     sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
     surplus = np.where(sticks, 0.0, np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9))
-    loads = _loads(skin, direction, contacts, traction, surplus, len(presses))
     owners = [contacts.owner == k for k in range(len(presses))]
     origin = np.asarray(before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32)
     part = _unfolded_part(origin, skin.step_mm)
@@ -173,45 +163,9 @@ def _swaying(
         origin_mm=origin * np.float32(part),
         stuck=tuple(float(sticks[mine].mean()) if mine.any() else 1.0 for mine in owners),
         slid_mm=tuple(_mean(now[mine] - touched[mine]) for mine in owners),
-        loads=loads,
+        surplus=tuple(float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0 for mine in owners),
     )
     return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
-
-
-def slip_of(stuck: float) -> Slip:
-    """The slip of a contact, from `Skin.stuck`: full if it slides as a whole or has come to rest after doing so."""
-    return Slip.STICK if stuck >= STICKS else Slip.FULL if stuck <= SLIDES else Slip.PARTIAL
-
-
-def loads_of(skin: Skin, model: SensorModel, presses: Sequence[Press]) -> tuple[Load, ...]:
-    """The load of each press that shaped a skin: `Skin.loads`, computed here if nothing drags."""
-    if skin.loads or not presses:
-        return skin.loads
-    direction = node_directions(skin.radius_mm).astype(np.float64)
-    contacts = _contacts(skin, direction, np.zeros((*direction.shape[:2], 2)), model, presses)
-    nothing = np.zeros((2, *direction[::_EVERY, ::_EVERY].shape[:2]), np.float32)
-    return _loads(skin, direction, contacts, nothing, np.zeros(len(contacts.rows)), len(presses))
-
-
-def _loads(
-    skin: Skin, direction: F64, contacts: Contacts, traction_mm: F32, surplus: F64, presses: int
-) -> tuple[Load, ...]:
-    at = direction[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
-    points = at * (skin.radius_mm - skin.height_mm[::_EVERY, ::_EVERY][contacts.rows, contacts.cols])[:, None]
-    traction = traction_mm[:, contacts.rows, contacts.cols].T
-    area_mm2 = (skin.step_mm * _EVERY) ** 2
-    owners = [contacts.owner == k for k in range(presses)]
-    return tuple(
-        summed(
-            at[mine],
-            points[mine],
-            contacts.pressure_mm[mine],
-            traction[mine].astype(np.float64),
-            area_mm2,
-            float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0,
-        )
-        for mine in owners
-    )
 
 
 def _mean(vectors: F64) -> tuple[float, float]:
@@ -260,16 +214,7 @@ def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -
     return slid(held, limit, weight * np.float32(nodes))
 
 
-def traction_mm(w: F32, weight: F32, step_mm: float, model: SensorModel) -> F32:
-    """`Mechanics.traction` of the membrane: q / kt = w - λt²∇²w; 0 on the border."""
-    nodes = (step_mm / model.drag_decay_mm) ** 2
-    q = np.zeros_like(w)
-    neighbours = w[:, :-2, 1:-1] + w[:, 2:, 1:-1] + w[:, 1:-1, :-2] + w[:, 1:-1, 2:]
-    q[:, 1:-1, 1:-1] = ((4 + weight[1:-1, 1:-1] * nodes) * w[:, 1:-1, 1:-1] - neighbours) / nodes
-    return q
-
-
-MEMBRANE = Mechanics(leant_mm, carry, traction_mm)
+MEMBRANE = Mechanics(leant_mm, carry)
 
 
 def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
@@ -339,5 +284,5 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
     return np.asarray(carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32)
 
 
-TURNING = Mechanics(turned_mm, carry_far, lambda w, *_: w)
+TURNING = Mechanics(turned_mm, carry_far)
 """How objects drag the other model's skin, in which every point is an independent spring, q = kt w."""

@@ -16,45 +16,15 @@ from typing import Protocol
 import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn, turned_rad
-from tacshade_edge.simulator.drag import loads_of, slip_of
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, Shape, polygon
-from tacshade_edge.simulator.skin import Load, Skin, node_directions
-from tacshade_edge.types import F64, Slip
+from tacshade_edge.simulator.skin import Skin, node_directions
+from tacshade_edge.types import F64
 
 _ROUNDING_MM = 2.0  # of the edges of objects to hold
 _EVERY = 4  # step of the sampled nodes in the skin's grid
 _STEPS = 40
 _NEAREST = 0.3  # of the skin's radius
-
-
-def box(x_mm: float, y_mm: float, z_mm: float) -> Shape:
-    """A box of these total lengths with rounded edges."""
-    half = np.array((x_mm, y_mm, z_mm)) / 2 - _ROUNDING_MM
-
-    def sdf(p: F64) -> F64:
-        beyond = np.abs(p) - half.astype(p.dtype)
-        outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
-        return np.asarray(outside + np.minimum(beyond.max(axis=1), 0) - np.float32(_ROUNDING_MM))
-
-    return Shape("box", sdf)
-
-
-def cylinder(radius_mm: float, length_mm: float) -> Shape:
-    """A cylinder about x with rounded edges."""
-
-    def sdf(p: F64) -> F64:
-        side = np.hypot(p[:, 1], p[:, 2]) - np.float32(radius_mm - _ROUNDING_MM)
-        end = np.abs(p[:, 0]) - np.float32(length_mm / 2 - _ROUNDING_MM)
-        outside = np.hypot(np.maximum(side, 0), np.maximum(end, 0))
-        return np.asarray(outside + np.minimum(np.maximum(side, end), 0) - np.float32(_ROUNDING_MM))
-
-    return Shape("cylinder", sdf)
-
-
-def sphere(radius_mm: float) -> Shape:
-    """A ball with its centre at the origin."""
-    return Shape("sphere", lambda p: np.asarray(np.linalg.norm(p, axis=1) - np.float32(radius_mm)))
 
 
 def lathed(name: str, outline_mm: Sequence[tuple[float, float]]) -> Shape:
@@ -220,42 +190,10 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerTruth:
-    """The ground truth of one finger; press, centre, slip and load (along the hand's axes) are None without contact.
-
-    `stuck` is the part of its contact that moves with the object; 1 without contact. `margin` is 1 minus the tangential
-    load over μ times the normal load; 0 if the contact slides as a whole, or without contact.
-    """
-
-    name: str
-    hand_T_sensor: Rigid
-    press: Press | None = None
-    centre_mm: F64 | None = None
-    depth_mm: float = 0.0
-    stuck: float = 1.0
-    slip: Slip | None = None
-    margin: float = 0.0
-    load: Load | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HandTruth:
-    """The ground truth of a hand at one time. `motion` maps the object's points, in the hand's frame, from where they
-    were at the first finger's touch to where they are; the identity while nothing touches.
-    """
-
-    hand_T_object: Rigid
-    motion: Rigid
-    fingers: tuple[FingerTruth, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """The contact of one finger, and the state from which the next motion is measured (None while it touches
-    nothing).
-    """
+    """One finger's press and skin, and the state from which the next motion is measured; None without contact."""
 
-    truth: FingerTruth
+    press: Press | None
     skin: Skin
     grip: Grip | None
 
@@ -264,29 +202,15 @@ def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid
     """Press an object on a finger at its present pose, with the grip of the previous step; without one, the contact
     begins now. Raises ValueError if the object reaches the middle of the sensor.
     """
-    model, now = finger.sensor.model, hand_T_sensor.inverse() @ hand_T_object
-    at_mm = contact_centre(body, now, model.skin_radius_mm)
+    radius_mm, now = finger.sensor.model.skin_radius_mm, hand_T_sensor.inverse() @ hand_T_object
+    at_mm = contact_centre(body, now, radius_mm)
     if at_mm is None:
-        return Felt(FingerTruth(finger.name, hand_T_sensor), finger.sensor.skin(), None)
+        return Felt(None, finger.sensor.skin(), None)
     grip = grip or Grip(now)
     drag = moved_along(grip, now, at_mm)
-    press = press_of(body, now, model.skin_radius_mm, at_mm, drag)
+    press = press_of(body, now, radius_mm, at_mm, drag)
     skin = finger.sensor.skin((press,))
-    (load,) = loads_of(skin, model, (press,))
-    stuck = skin.stuck[0] if skin.stuck else 1.0
-    slip = slip_of(stuck)
-    truth = FingerTruth(
-        name=finger.name,
-        hand_T_sensor=hand_T_sensor,
-        press=press,
-        centre_mm=hand_T_sensor.apply(at_mm),
-        depth_mm=float(skin.pressed_mm.max()),
-        stuck=stuck,
-        slip=slip,
-        margin=0.0 if slip is Slip.FULL else load.margin(model.coulomb),
-        load=load.turned(hand_T_sensor.rotation),
-    )
-    return Felt(truth, skin, slid_on(grip, drag, load.surplus))
+    return Felt(press, skin, slid_on(grip, drag, skin.surplus[0] if skin.surplus else 0.0))
 
 
 def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]) -> Iterator[Felt]:
@@ -300,17 +224,3 @@ def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[
             grip = last[1].grip if last else None
             last = placement, felt(fingers[k], hand_T_sensor, body, placement.hand_T_object, grip)
         yield last[1]
-
-
-def hold(
-    fingers: Sequence[Finger], body: Shape, placements: Sequence[Placement]
-) -> Iterator[tuple[HandTruth, list[Skin]]]:
-    """Yield the ground truth of the hand and the fingers' skins at each placement in turn."""
-    of_each = [follow(fingers, k, body, placements) for k in range(len(fingers))]
-    grasped: Rigid | None = None
-    for placement, *felts in zip(placements, *of_each, strict=True):
-        pose = placement.hand_T_object
-        touched = any(each.truth.press for each in felts)
-        grasped = (grasped or pose) if touched else None
-        motion = pose @ grasped.inverse() if grasped else Rigid(np.eye(3), np.zeros(3))
-        yield HandTruth(pose, motion, tuple(each.truth for each in felts)), [each.skin for each in felts]

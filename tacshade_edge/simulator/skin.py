@@ -18,7 +18,7 @@ import numpy as np
 
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press, distance_mm
-from tacshade_edge.types import F32, F64, frozen
+from tacshade_edge.types import F32, F64
 
 _SOLVE_TOLERANCE_MM = 1e-4
 _AROUND = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
@@ -156,51 +156,6 @@ Solver = Callable[[F32, F32], F32]
 """A function from an obstacle and mass weights to h, all on the same grid."""
 
 
-@frozen
-class Load:
-    """The load of one press in skin units, p / kn and q / kt in mm: ∫ p / kn and ∫ |q| / kt over its contact; the force
-    of the pressure on the object, through O, and of the traction, and the latter's torque about O, in the sensor frame;
-    `surplus`, the part of its drag and twist that the object could reverse without sticking anywhere.
-    """
-
-    normal_mm3: float
-    shear_mm3: float
-    push_mm3: F64
-    pull_mm3: F64
-    torque_mm4: F64
-    surplus: float
-
-    def turned(self, rotation: F64) -> Load:
-        """The same load along other axes, turned by a rotation (3, 3)."""
-        push, pull, torque = (rotation @ each for each in (self.push_mm3, self.pull_mm3, self.torque_mm4))
-        return replace(self, push_mm3=push, pull_mm3=pull, torque_mm4=torque)
-
-    def margin(self, coulomb: float) -> float:
-        """1 minus the used share of Coulomb's limit: 1 has no load along the skin, 0 slides."""
-        most = coulomb * self.normal_mm3
-        return 1 - min(self.shear_mm3 / most, 1.0) if most > 0 else 0.0
-
-
-def summed(direction: F64, points_mm: F64, pressure_mm: F64, traction_mm: F64, area_mm2: float, surplus: float) -> Load:
-    """Sum the loads of a contact's nodes, each of an area: unit vectors from O and places (N, 3), p / kn (N,), and q /
-    kt (N, 2) of the skin along the chart's axes; a length in the chart is taken as one on the skin.
-    """
-    # Unit tangents of the chart's axes.
-    over = direction[:, :2] / (1 + direction[:, 2:])
-    zero, one = np.zeros(len(direction)), np.ones(len(direction))
-    along_x = np.stack((one, zero, zero), axis=1) - direction[:, :1] * np.column_stack((over, one))
-    along_y = np.stack((zero, one, zero), axis=1) - direction[:, 1:2] * np.column_stack((over, one))
-    pull = -area_mm2 * (traction_mm[:, :1] * along_x + traction_mm[:, 1:] * along_y)
-    return Load(
-        normal_mm3=area_mm2 * float(pressure_mm.sum()),
-        shear_mm3=area_mm2 * float(np.linalg.norm(traction_mm, axis=1).sum()),
-        push_mm3=area_mm2 * (pressure_mm[:, None] * direction).sum(axis=0),
-        pull_mm3=pull.sum(axis=0),
-        torque_mm4=np.cross(points_mm, pull).sum(axis=0),
-        surplus=surplus,
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
     """A deformed skin; maps are float32 (2n+1, 2n+1), node (i, j) has chart coordinates ((j - n) step, (i - n) step).
@@ -208,8 +163,9 @@ class Skin:
     `obstacle_mm`: the least `pressed_mm` outside the objects; 0 where the node's ray meets none. `leaning_mm`: part of
     h due to the leaning dome. `origin_mm` (.., 2): chart coordinates without drag and sway of the material now at a
     node, minus the node's own. For each press, if one drags: `stuck`, the part of its contact that moves with it;
-    `slid_mm`, how far along x and y it is ahead of the skin on average; `loads`. `rest_mm`: part of `pressed_mm` that
-    remains without load, for a skin that creeps.
+    `slid_mm`, how far along x and y it is ahead of the skin on average; `surplus`, the part of its drag that it could
+    reverse without sticking anywhere. `rest_mm`: part of `pressed_mm` that remains without load, for a skin that
+    creeps.
     """
 
     radius_mm: float
@@ -220,7 +176,7 @@ class Skin:
     origin_mm: F32 | None = None
     stuck: tuple[float, ...] = ()
     slid_mm: tuple[tuple[float, float], ...] = ()
-    loads: tuple[Load, ...] = ()
+    surplus: tuple[float, ...] = ()
     rest_mm: F32 | None = None
 
     def sample(self, x: F64, y: F64) -> F64:

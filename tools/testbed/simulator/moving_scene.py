@@ -26,7 +26,7 @@ from dataclasses import dataclass, fields, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.drag import contact_nodes, slip_of
+from tacshade_edge.simulator.drag import contact_nodes
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
@@ -35,6 +35,17 @@ from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
 from tacshade_edge.types import F32, F64, Slip
 
 _INVERSE_STEPS = 24
+
+
+STICKS = 0.9
+"""Least part of a contact that moves with the object if it sticks: the outermost ring of any contact slides."""
+SLIDES = 0.02
+"""Greatest part of a contact that moves with the object if it slides as a whole."""
+
+
+def slip_of(stuck: float) -> Slip:
+    """The slip of a contact, from `Skin.stuck`."""
+    return Slip.STICK if stuck >= STICKS else Slip.FULL if stuck <= SLIDES else Slip.PARTIAL
 
 
 def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float) -> F64:
