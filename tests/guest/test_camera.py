@@ -53,7 +53,7 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
     camera = source(fps=30 if fps == FPS else fps)
     with handed_over() as handed:
         camera.open()
-        frames = [camera.read() for _ in range(30)]
+        frames = [camera.read() for _ in range(50)]
         assert all(camera.skip() for _ in range(5))
         after = camera.read()
         described = camera.describe()
@@ -131,7 +131,7 @@ def test_inferred_drops_are_the_kernels(webcam: None) -> None:
     skip_unless_even(handed)
     truth = numbers[-1] - numbers[0] + 1 - len(numbers)
     print(f"{truth} lost by the kernel's numbers, {camera.dropped} inferred")
-    assert DROPS_OF / 33 <= truth <= DROPS_OF / 5, "the driver drops at random"
+    assert DROPS_OF / 50 <= truth <= DROPS_OF / 4, "the driver drops at random"
     assert abs(camera.dropped - truth) <= 2
     assert abs((frames[-1].seq - frames[0].seq) - (numbers[-1] - numbers[0])) <= 2
 

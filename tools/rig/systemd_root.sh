@@ -11,7 +11,8 @@ rm -f "$root/.dockerenv" "$root/run/systemd/container"
 echo 0123456789abcdef0123456789abcdef >"$root/etc/machine-id"
 ln -sf /dev/null "$units/tmp.mount"
 # Minutes of work that no scenario needs.
-for unit in systemd-hwdb-update systemd-journal-catalog-update ldconfig systemd-update-done systemd-firstboot; do
+for unit in systemd-hwdb-update systemd-journal-catalog-update ldconfig systemd-update-done systemd-firstboot \
+  systemd-udev-trigger; do
   ln -sf /dev/null "$units/$unit.service"
 done
 cat >"$units/scenario.target" <<'X'
