@@ -15,7 +15,7 @@ from tacshade_edge.bridge import foxglove_messages as made
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Schema, Viewers
 from tacshade_edge.core.geometry.disc import Grid
-from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.messages import TOUCH_SCHEMA
 from tacshade_edge.protocol.topics import (
@@ -133,7 +133,7 @@ class _Sensor:
         known = info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
-                f"height: found a height greater than the skin's radius, expected at most {known.skin_radius_mm:g} mm"
+                f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm"
             )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
@@ -164,14 +164,12 @@ class _Sensor:
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
-            raise DecodeError(
-                f"{name}: found {len(payload)} bytes in a viewer's message, expected at most {MESSAGE_BYTES_MAX} bytes"
-            )
+            raise DecodeError(f"{name}: found {len(payload)} bytes for a viewer, expected at most {MESSAGE_BYTES_MAX}")
         self._viewers.send(channel, payload)
 
 
 class FoxgloveBridge:
-    """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed. Raises ConfigError."""
+    """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed. Raises OSError."""
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
         self._sensors, self._follow = sensors, follow
@@ -182,13 +180,7 @@ class FoxgloveBridge:
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._changed.set()
-        try:
-            self._viewers = Viewers(host, port, self._changed.set)
-        except OSError as error:
-            reason = error.strerror or error
-            raise ConfigError(
-                f"--listen {host}:{port}: {reason}, expected a free port on one of this machine's addresses"
-            ) from None
+        self._viewers = Viewers(host, port, self._changed.set)
         self.port = self._viewers.port
         self._counts = b""
         (self._own,) = self._viewers.advertise(_OWN)
@@ -232,9 +224,7 @@ class FoxgloveBridge:
     def _hear_info(self, sensor_id: str, info: Info) -> None:
         sensor = self._roster.of(sensor_id, 1 + (info.geometry is not None))
         if sensor is None:
-            self._refusals.add(
-                "no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are already shown, the limit"
-            )
+            self._refusals.add("no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are shown, the limit")
             return
         sensor.place(info)
         self._changed.set()

@@ -106,6 +106,8 @@ def test_a_stitching_session_is_commanded_through_requests(
     press("add")
     assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
     shows(page, "answer", "Added press 4.")
+    status("open", "pad-1", 4)
+    shows(page, "session", "Stitching pad-1: 4 presses")
     press("end")
     assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
     shows(page, "answer", "Made the map of pad-1 from 3 of 4 presses.")

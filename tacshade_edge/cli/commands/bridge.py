@@ -7,7 +7,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from tacshade_edge.cli.commands.dashboard import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
@@ -34,9 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_option(kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port))
         add_option(kind, "--username", "NAME", "user name for the broker", str)
         add_option(kind, "--password-file", "FILE", "file whose first line is the broker password")
-        add_option(
-            kind, "--ca-file", "FILE", "PEM file with the CA certificate, for a TLS connection to the broker", str
-        )
+        add_option(kind, "--ca-file", "FILE", "PEM file with the CA certificate, for TLS to the broker", str)
         add_verbosity(kind)
 
 
@@ -55,12 +54,11 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
     need("bridge", "foxglove", "foxglove", "websockets")
     from tacshade_edge.bridge.foxglove import FoxgloveBridge
 
-    host, port = args.listen
     follower = Follower(broker, lambda *message: bridge.hear(*message))
-    bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
-    _announce(args, f"ws://{in_url(host)}:{bridge.port}")
+    with _listening(args):
+        bridge = FoxgloveBridge(*args.listen, args.sensor, follower.follow)
     try:
-        _serve(follower, bridge.poll)
+        _serve(args, f"ws://{in_url(args.listen[0])}:{bridge.port}", follower, bridge.poll)
     finally:
         bridge.stop()
 
@@ -71,30 +69,39 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
 
     from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
 
-    host, port = args.listen
     sensors = SensorMetrics(args.sensor)
     registry = CollectorRegistry()
     registry.register(sensors)
     follower = Follower(broker, sensors.hear)
     follower.follow(sensors.topics)
+    with _listening(args):
+        server = MetricsServer(*args.listen, registry)
     try:
-        server = MetricsServer(host, port, registry)
-    except OSError as error:
-        expected = "expected a free port on one of this machine's addresses"
-        raise ConfigError(f"--listen {host}:{port}: {error.strerror or error}, {expected}") from None
-    _announce(args, f"http://{in_url(host)}:{server.server_port}/metrics")
-    try:
-        _serve(follower, lambda: None)
+        _serve(args, f"http://{in_url(args.listen[0])}:{server.server_port}/metrics", follower, lambda: None)
     finally:
         server.stop()
 
 
-def _serve(follower: Follower, poll: Callable[[], None]) -> None:
+@contextmanager
+def _listening(args: argparse.Namespace) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        host, port = args.listen
+        expected = "expected a free port on one of this machine's addresses"
+        raise ConfigError(f"--listen {host}:{port}: {error.strerror or error}, {expected}") from None
+
+
+def _serve(args: argparse.Namespace, url: str, follower: Follower, poll: Callable[[], None]) -> None:
     ended: list[int] = []
     crashes: list[BaseException] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: ended.append(number))
     threading.excepthook = lambda hook: crashes.append(hook.exc_value or RuntimeError(hook.exc_type.__name__))
+    host, port = args.broker
+    print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
+    if not is_loopback(args.listen[0]):
+        print(f"{args.kind}: no encryption and no password: anyone on the network can read it", file=sys.stderr)
     follower.start()
     try:
         while not ended:
@@ -104,10 +111,3 @@ def _serve(follower: Follower, poll: Callable[[], None]) -> None:
             time.sleep(POLL_S)
     finally:
         follower.stop()
-
-
-def _announce(args: argparse.Namespace, url: str) -> None:
-    host, port = args.broker
-    print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
-    if not is_loopback(args.listen[0]):
-        print(f"{args.kind}: no encryption and no password: anyone on the network can read it", file=sys.stderr)

@@ -7,6 +7,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -89,16 +90,14 @@ def address(default_port: int | None = None) -> Callable[[str], tuple[str, int]]
     """Return an argparse type that reads HOST:PORT; with a default port, it also accepts HOST alone and port 0."""
 
     def read(text: str) -> tuple[str, int]:
-        try:
+        with suppress(ValueError):
             parts = urlsplit(f"//{text}")
             host, port = parts.hostname, parts.port
-        except ValueError:
-            host = port = None
-        if host and parts.netloc == text and parts.username is None and not text.endswith(":"):
-            if default_port is not None:
-                return host, default_port if port is None else port
-            if port:
-                return host, port
+            if host and parts.netloc == text and parts.username is None and not text.endswith(":"):
+                if default_port is not None:
+                    return host, default_port if port is None else port
+                if port:
+                    return host, port
         expected = "HOST:PORT" if default_port is None else "HOST or HOST:PORT"
         raise argparse.ArgumentTypeError(
             f"found {text!r}, expected {expected} such as localhost:{default_port or 1883}"
