@@ -132,9 +132,7 @@ class _Sensor:
             return
         known = info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
-            raise DecodeError(
-                f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm"
-            )
+            raise DecodeError(f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm")
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:

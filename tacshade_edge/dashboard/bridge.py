@@ -97,13 +97,7 @@ _BINARY_ONLY: Final = 1003
 _NOT_ALLOWED: Final = 1008
 _REASON_BYTES_MAX: Final = 123
 # A broker whose machine vanished without closing the connection is noticed after about 20 s.
-_BROKER_SOCKET: Final = (
-    (socket.IPPROTO_TCP, "TCP_NODELAY", 1),
-    (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
-    (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),
-    (socket.IPPROTO_TCP, "TCP_KEEPINTVL", 5),
-    (socket.IPPROTO_TCP, "TCP_KEEPCNT", 2),
-)
+_KEEPALIVE: Final = {"TCP_NODELAY": 1, "TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +148,10 @@ class Bridge:
         async with asyncio.timeout(_CONNECT_S):
             reader, writer = await asyncio.open_connection(broker.host, broker.port, ssl=broker.tls, limit=_CHUNK_BYTES)
         sock = writer.get_extra_info("socket")
-        for level, name, value in _BROKER_SOCKET:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE.items():
             if hasattr(socket, name):
-                sock.setsockopt(level, getattr(socket, name), value)
+                sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         return reader, writer
 
 

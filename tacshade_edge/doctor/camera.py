@@ -71,7 +71,7 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
     try:
         card = v4l2_node.check_node(str(path))
     except TacshadeError as error:
-        return (fault("camera", _bare(error), _choose(machine)),)
+        return (fault("camera", str(error).removeprefix("camera "), _choose(machine)),)
     findings = [ok("camera", f"{device}: {card}")]
     stable = stable_name(device, machine)
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
@@ -96,7 +96,7 @@ def _check_format(source: V4l2, node: str) -> Finding:
     try:
         formats = v4l2_node.formats(node)
     except DeviceError as error:
-        return fault("camera format", _bare(error), "unplug the camera and plug it in again")
+        return fault("camera format", str(error).removeprefix("camera "), "unplug the camera and plug it in again")
     if source.fourcc in formats:
         return ok("camera format", source.fourcc)
     usable = [code for code in _FOURCCS if code in formats]
@@ -209,10 +209,6 @@ def _choose(machine: Machine) -> str:
 def _labelled(name: str, machine: Machine) -> str:
     card = card_name(name, machine)
     return f"{name} ({card})" if card else name
-
-
-def _bare(error: TacshadeError) -> str:
-    return str(error).removeprefix("camera ")
 
 
 def csi_cameras() -> dict[int, str]:

@@ -32,11 +32,8 @@ class Judged:
 
     def as_dict(self) -> dict[str, object]:
         """The picture's record for programs; no limit is null."""
-        figures = [
-            {"judge": each.judge, "what": each.what, "found": each.found}
-            | {"least": _finite(each.least), "most": _finite(each.most)}
-            for each in self.measured
-        ]
+        names = ("judge", "what", "found", "least", "most")
+        figures = [{name: _finite(getattr(each, name)) for name in names} for each in self.measured]
         return {"image": str(self.path), "judge": self.judge or None, **reason_fields(self.reason), "figures": figures}
 
 
@@ -76,5 +73,5 @@ def limits_of(least: float, most: float) -> str:
     return f"at most {most:.3g}" if least <= 0 else f"{least:.3g} to {most:.3g}"
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _finite(value: str | float) -> str | float | None:
+    return value if isinstance(value, str) or math.isfinite(value) else None

@@ -43,13 +43,8 @@ if TYPE_CHECKING:
     from tacshade_edge.fitting.fit import FitResult
 
 _SHOWN = 3
-_WITH_REZERO = {
-    "presses": "the fit to the presses",
-    "indenters": "the fit to the presses",
-    "labels": "the touch model",
-    "fit": "the fit to the presses",
-}
-"""Options that have no effect with ``--rezero``, and what that keeps."""
+# Options that have no effect with ``--rezero``, and what that keeps.
+_WITH_REZERO = dict.fromkeys(("presses", "indenters", "fit"), "the fit to the presses") | {"labels": "the touch model"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
 
 from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_option
 from tacshade_edge.errors import ConfigError
@@ -24,7 +23,6 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
-    checks: tuple[Callable[[Document], object], ...]
     checks = (sources.check_source, sources.check_serial, _check_broker, calibrations.find_calibration)
     for document in documents:
         for check in checks:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor, number
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
@@ -69,23 +70,19 @@ def _name(text: str) -> str:
 
 def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
     """Show the recording's progress until it is over; return the daemon's last status of it."""
-    live = sys.stderr.isatty()
-    deadline_s = time.monotonic() + seconds + WRITTEN_S
+    progress, deadline_s = Progress(), time.monotonic() + seconds + WRITTEN_S
     try:
         while not stop.is_set():
             status = _status(caller, folder)
             if _over(status) or caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
                 return _last_words(caller, folder)
-            if live:
-                figures = f"{status.get('frames', 0)} frames, {status.get('bytes', 0) / 1e6:.1f} MB"
-                print(f"\r{folder}: {figures}, {status.get('dropped', 0)} dropped ", end="", file=sys.stderr)
+            progress("frames", status.get("frames", 0), None)
             caller.wait_for(stop.is_set, PERIOD_S)
         with suppress(DeviceError):  # it may have just ended by itself
             return caller.ask({"action": "stop"}, WRITTEN_S)
         return _last_words(caller, folder)
     finally:
-        if live:
-            print(file=sys.stderr)
+        progress.end()
 
 
 def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:

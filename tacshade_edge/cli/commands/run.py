@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tacshade_edge.cli import EXIT_OK
@@ -35,7 +34,11 @@ def run(args: argparse.Namespace) -> int:
 
     hand = load_hand(args.config)
     lines = hand_process.Lines(hand.fingers if hand else ())
-    shared_lines = _shared_lines(documents)
+    shared_lines: dict[str, SharedLine] = {}
+    if any(document.settings.serial for document in documents):
+        from tacshade_edge.daemon.shared_line import share_lines
+
+        shared_lines = share_lines(documents)
 
     def work(part: Document | Hand) -> int:
         start_logging(args.log_level, name_of(part))
@@ -64,12 +67,3 @@ def _run_sensor(document: Document, siblings: Siblings) -> int:
         signal.signal(signal.SIGHUP, lambda *_: app.reload())
     app.run()
     return EXIT_STOPPED if stopped and document.several else EXIT_OK
-
-
-def _shared_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
-    """Return the serial lines that sensors share, by sensor; import them only if the settings name a robot."""
-    if not any(document.settings.serial for document in documents):
-        return {}
-    from tacshade_edge.daemon.shared_line import share_lines
-
-    return share_lines(documents)

@@ -83,8 +83,11 @@ def run(args: argparse.Namespace) -> int:
     with disk_errors(Path()):
         if args.calibration_set is not None:
             _write_calibration_set(sensor, args.calibration_set, args.presses, args.seed)
-        if args.out is not None:
-            _write_scenes(sensor, args)
+        try:
+            if args.out is not None:
+                _write_scenes(sensor, args)
+        except ValueError as error:
+            raise ConfigError(f"cannot simulate: {error}") from error
         if args.pad is not None:
             write_pad(model, args.pad, args.pad_step, args.pad_depth, args.seed)
     return 0
@@ -114,7 +117,7 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
     rows, progress = [], Progress()
     for k, (press, radius_mm) in enumerate(ball_presses(model, count, seed)):
         name = f"press_{k:03d}.png"
-        image = _simulate(sensor, (press,), seed * _SEED_STRIDE + REFERENCES + k).image
+        image = sensor.frame((press,), seed * _SEED_STRIDE + REFERENCES + k).image
         (folder / name).write_bytes(png(image))
         rows.append((name, presses.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         progress("presses", k + 1, count)
@@ -143,7 +146,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     for k, (name, numbers) in enumerate(scenes):
         known = dict(zip(PRESS_KEYS, numbers, strict=True))
         objects = () if name == "none" else (Press(OBJECTS[name](), **known),)
-        frame = _simulate(sensor, objects, args.seed * _SEED_STRIDE + k)
+        frame = sensor.frame(objects, args.seed * _SEED_STRIDE + k)
         stem = f"{k:03d}_{name}"
         (args.out / f"{stem}.png").write_bytes(png(frame.image))
         depth_max_mm = _write_truth(args.out / f"{stem}.npz", frame, name, known)
@@ -151,13 +154,6 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
         progress("images", k + 1, len(scenes))
     _write_csv(args.out / "scenes.csv", ("image", "object", *PRESS_KEYS, "depth_max_mm"), rows)
     print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
-
-
-def _simulate(sensor: SimulatedSensor, pressed: tuple[Press, ...], noise_seed: int) -> SimulatedFrame:
-    try:
-        return sensor.frame(pressed, noise_seed)
-    except ValueError as error:
-        raise ConfigError(f"cannot simulate: {error}") from error
 
 
 def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[str, float]) -> float:

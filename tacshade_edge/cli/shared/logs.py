@@ -29,14 +29,10 @@ Text = tuple[str, str, str]
 
 
 def add_verbosity(parser: argparse.ArgumentParser) -> None:
-    how = parser.add_mutually_exclusive_group()
-    for short, name, level, text in (
-        ("-v", "--verbose", logging.DEBUG, "log more detail, to help you find a fault"),
-        ("-q", "--quiet", logging.WARNING, "log warnings and errors only"),
-    ):
-        how.add_argument(
-            short, name, action="store_const", dest="log_level", const=level, default=logging.INFO, help=text
-        )
+    how, kind = parser.add_mutually_exclusive_group(), {"action": "store_const", "dest": "log_level"}
+    how.add_argument("-v", "--verbose", const=logging.DEBUG, help="log more detail, to help you find a fault", **kind)
+    how.add_argument("-q", "--quiet", const=logging.WARNING, help="log warnings and errors only", **kind)
+    parser.set_defaults(log_level=logging.INFO)
 
 
 def start_logging(level: int, sensor_id: str = "") -> None:
