@@ -54,11 +54,12 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
     need("bridge", "foxglove", "foxglove", "websockets")
     from tacshade_edge.bridge.foxglove import FoxgloveBridge
 
+    host, port = args.listen
     follower = Follower(broker, lambda *message: bridge.hear(*message))
     with _listening(args):
-        bridge = FoxgloveBridge(*args.listen, args.sensor, follower.follow)
+        bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
     try:
-        _serve(args, f"ws://{in_url(args.listen[0])}:{bridge.port}", follower, bridge.poll)
+        _serve(args, f"ws://{in_url(host)}:{bridge.port}", follower, bridge.poll)
     finally:
         bridge.stop()
 
@@ -69,15 +70,16 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
 
     from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
 
+    host, port = args.listen
     sensors = SensorMetrics(args.sensor)
     registry = CollectorRegistry()
     registry.register(sensors)
     follower = Follower(broker, sensors.hear)
     follower.follow(sensors.topics)
     with _listening(args):
-        server = MetricsServer(*args.listen, registry)
+        server = MetricsServer(host, port, registry)
     try:
-        _serve(args, f"http://{in_url(args.listen[0])}:{server.server_port}/metrics", follower, lambda: None)
+        _serve(args, f"http://{in_url(host)}:{server.server_port}/metrics", follower, lambda: None)
     finally:
         server.stop()
 

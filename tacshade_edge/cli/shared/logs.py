@@ -11,7 +11,7 @@ import sys
 import time
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from tacshade_edge.quoting import escaped
 
@@ -29,7 +29,7 @@ Text = tuple[str, str, str]
 
 
 def add_verbosity(parser: argparse.ArgumentParser) -> None:
-    how, kind = parser.add_mutually_exclusive_group(), {"action": "store_const", "dest": "log_level"}
+    how, kind = parser.add_mutually_exclusive_group(), dict[str, Any](action="store_const", dest="log_level")
     how.add_argument("-v", "--verbose", const=logging.DEBUG, help="log more detail, to help you find a fault", **kind)
     how.add_argument("-q", "--quiet", const=logging.WARNING, help="log warnings and errors only", **kind)
     parser.set_defaults(log_level=logging.INFO)
