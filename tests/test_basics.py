@@ -73,13 +73,6 @@ def test_a_union_has_all_that_it_is_of() -> None:
     assert Need.SIGMA not in Need.TOUCH
 
 
-def test_what_a_terminal_would_obey_is_escaped() -> None:
-    assert quoted("a\x1b[2J\nINFO all is well\u202e") == r"'a\x1b[2J\nINFO all is well\u202e'"
-    assert shown(Path("a/b.png")) == "a/b.png"
-    assert shown("a\nb") == r"'a\nb'"
-    assert shown("x" * 9, 8) == "'xxxxxxxx…'"
-
-
 @given(st.text(max_size=60), st.integers(1, 50))
 def test_it_is_one_printable_line_of_bounded_length(text: str, most: int) -> None:
     for line in (quoted(text, most), shown(text, most), escaped(text, most)):
@@ -144,21 +137,8 @@ def test_composition_applies_the_inner_one_first(a: tuple[float, ...], b: tuple[
     np.testing.assert_allclose(outer.inverse().apply(outer.apply(points)), points, atol=1e-9)
 
 
-@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (1e-9, 0.0, 0.0), (0.0, math.pi, 0.0), (0.3, -0.4, 0.5)])
-def test_a_turn_is_the_quaternions(vector: tuple[float, float, float]) -> None:
-    angle = math.hypot(*vector)
-    axis = np.array(vector) / angle if angle else np.array((1.0, 0.0, 0.0))
-    expected = from_seven((0.0, 0.0, 0.0, math.cos(angle / 2), *(math.sin(angle / 2) * axis)))
-    np.testing.assert_allclose(turn(vector).rotation, expected.rotation, atol=1e-12)
-
-
 @given(st.tuples(numbers, numbers, numbers), st.floats(0, math.pi - 1e-3))
 def test_a_turn_gives_its_vector_back(axis: tuple[float, float, float], angle: float) -> None:
     size = math.hypot(*axis)
     vector = np.array(axis) * (angle / size if size > 1e-3 else 0.0)
     np.testing.assert_allclose(turned_rad(turn(vector).rotation), vector, atol=1e-9)
-
-
-def test_no_rotation_is_refused() -> None:
-    with pytest.raises(ValueError, match="length 0"):
-        from_seven((0.0,) * 7)

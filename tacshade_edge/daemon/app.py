@@ -6,26 +6,31 @@ import logging
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import msgspec
 
-from tacshade_edge.core.profiles import LADDER, PROFILES
+from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.observer import FRAMES_SENT_S, LINK_STOPPED_S, THREADS_STOPPED_S, FrameObserver, SourceState
+from tacshade_edge.daemon.observer import (
+    FRAMES_SENT_S,
+    LINK_STOPPED_S,
+    THREADS_STOPPED_S,
+    FrameObserver,
+    Reply,
+    SourceState,
+)
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.profiles import ActiveProfile, Step
 from tacshade_edge.daemon.publishing import Health, HomeAssistant, Preview, Publisher
-from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder
-from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.record import SOURCE_ENDED, LiveRecorder
 from tacshade_edge.daemon.references import References
-from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
@@ -36,7 +41,8 @@ from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import codec, messages, requests
 from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import RequestResult
+from tacshade_edge.protocol.results import ProfileChosen, RequestResult
+from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Document, digest, load
@@ -46,9 +52,8 @@ from tacshade_edge.version import installed_version
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.hand import FingerLine
-    from tacshade_edge.daemon.robot import Robot
-    from tacshade_edge.daemon.session_worker import SessionRequests
-    from tacshade_edge.daemon.shared_line import SharedLine
+    from tacshade_edge.daemon.robot import Robot, SharedLine
+    from tacshade_edge.daemon.session_worker import Sessions
 
 
 _log = logging.getLogger(__name__)
@@ -59,25 +64,22 @@ STALL_S = 3.0
 EVENTS_MAX = 16
 
 
-Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | Request | Step
-
-
-@dataclass(frozen=True, slots=True)
-class Siblings:
-    """A sensor's lines to the other processes of its daemon: to its hand, and for a robot's line that they share."""
-
-    hand: FingerLine | None = None
-    robot: SharedLine | None = None
-
-
-ALONE: Final = Siblings()
+Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | tuple[Request, Reply] | Step
 
 
 class App:
-    """One sensor's daemon; until `reload` finds a calibration, only the camera's picture is published."""
+    """One sensor's daemon; until `reload` finds a calibration, only the camera's picture is published.
+
+    `hand_line` and `robot_line` lead to other processes of the daemon: to its hand, and to those that share a robot.
+    """
 
     def __init__(
-        self, document: Document, source: FrameSource, calibration: Calibration | Reason, siblings: Siblings = ALONE
+        self,
+        document: Document,
+        source: FrameSource,
+        calibration: Calibration | Reason,
+        hand_line: FingerLine | None = None,
+        robot_line: SharedLine | None = None,
     ) -> None:
         settings = document.settings
         self._document = document
@@ -85,48 +87,34 @@ class App:
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._source = source
         self.ledger = FrameLedger()
-        self.link = links.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
-        self._publisher = Publisher(
-            self.link.offer,
-            self.link.publish_event,
-            self.ledger.settle,
-            self.link.has_listener,
-            settings.shear == "always",
-        )
+        self.link = links.make_link(document, on_request=self._on_mqtt_request, on_outcome=self._on_outcome)
+        sinks = (self.link.offer, self.link.publish_event, self.ledger.settle, self.link.has_listener)
+        self._publisher = Publisher(*sinks, always_shear=settings.shear == "always")
         self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
-        self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
+        robot = self._make_robot(robot_line)
+        self._recorder = LiveRecorder(
+            partial(self.link.set_retained, "status/recorder"),
+            partial(self._events.put, "recorded"),
+            robot.with_interpolated_pose if robot else lambda frame: frame,
+            settings.recorder.pre_roll_s,
+        )
+        self._references = References(
+            *(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id),
+            *(self._use, self._publish_info, lambda: self._recorder.now() is not None),
+        )
         known = self._references.calibration
         profile = PROFILES.get(settings.profile, PROFILES[LADDER[-1]])
         first = known if isinstance(known, Reason) else make_reconstructor(known, profile)
         self._active = ActiveProfile(first, settings.profile, settings.latency_budget_ms, self._events.put)
-        robot = self._make_robot(siblings.robot)
-        sessions = self._make_sessions(robot)
-        # Sessions before publishing, since a subscriber that sees a contact may begin one.
-        before: list[FrameObserver] = [sessions] if sessions else []
-        after: list[FrameObserver] = [robot] if robot else []
-        if siblings.hand and settings.hand_T_sensor:
-            from tacshade_edge.daemon.hand import FingerReporter
-
-            after.insert(0, FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor)))
-        self._recorder = LiveRecorder(
-            lambda: self._events.put("recorded"), robot.with_interpolated_pose if robot else None
-        )
-        self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
-        self._record = RecordRequests(
-            self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
-        )
-        verbs = {"record": self._on_record, **({"stitch": sessions.handle} if sessions else {})}
-        self._requests = Requests(self._active, self._references, self._reply, self._status, self._changed, verbs)
+        self._sessions = self._make_sessions(robot)
         timings = Timings()
         self._health = Health(self.ledger, timings)
         self._preview = Preview(self.link)
-        # In the order in which they see a frame.
-        self._observers: tuple[FrameObserver, ...] = (
-            *before,
-            *(self._publisher, self._health, self._preview, self._references),
-            *after,
-            *(self._active, self._requests, self._record),
-        )
+        # In the order in which they see a frame: sessions before publishing, since a subscriber that sees a contact may
+        # begin one.
+        parts: list[FrameObserver | None] = [self._sessions, self._publisher, self._health, self._preview]
+        parts += [self._references, self._make_reporter(hand_line), robot, self._active, self._recorder]
+        self._observers: tuple[FrameObserver, ...] = tuple(part for part in parts if part is not None)
         self._pipeline = Pipeline(
             source,
             lambda: self._active.reconstructor,
@@ -153,14 +141,20 @@ class App:
         publish = partial(self.link.set_retained, "status/serial")
         return Robot(port, self._on_request, self._status, publish, self._missing, line)
 
-    def _make_sessions(self, robot: Robot | None) -> SessionRequests | None:
+    def _make_sessions(self, robot: Robot | None) -> Sessions | None:
         settings = self._document.settings
         if not sources.frames_have_poses(settings):
             return None
-        from tacshade_edge.daemon.session_worker import SessionRequests
+        from tacshade_edge.daemon.session_worker import Sessions
 
-        folder = Path(settings.stitching.folder)
-        return SessionRequests(folder, settings.sensor_id, self.link.set_retained, self._reply, robot)
+        return Sessions(Path(settings.stitching.folder), settings.sensor_id, self.link.set_retained, robot)
+
+    def _make_reporter(self, line: FingerLine | None) -> FrameObserver | None:
+        if line is None or not (hand_T_sensor := self._document.settings.hand_T_sensor):
+            return None
+        from tacshade_edge.daemon.hand import FingerReporter
+
+        return FingerReporter(line, from_seven(hand_T_sensor))
 
     def stop(self) -> None:
         """Make `run` end; any thread and a signal handler may call it."""
@@ -202,8 +196,6 @@ class App:
             self._publish_state()
             for observer in self._observers:
                 observer.poll()
-            if self._references.follow(held=self._recorder.now() is not None):
-                self._follow()
             try:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
@@ -213,8 +205,8 @@ class App:
             if isinstance(event, Crash):
                 event.error.add_note(f"in thread {event.thread}")
                 raise event.error
-            if isinstance(event, Request):
-                self._requests.handle(event)
+            if isinstance(event, tuple):
+                self._handle(*event)
             elif event == "reload":
                 self._reload()
             elif isinstance(event, Step):
@@ -275,7 +267,6 @@ class App:
             return max(0.0, began_s + due_s - time.monotonic())
 
         notify_stopping()
-        self._recorder.end(DAEMON_STOPPED)
         stops = [(THREADS_STOPPED_S, self._pipeline.stop), (FRAMES_SENT_S, self._give_up_frames)]
         stops += [(observer.stop_s, observer.stop) for observer in self._observers]
         for due_s, stop in sorted(stops, key=itemgetter(0)):
@@ -292,22 +283,63 @@ class App:
 
     # Other threads call these: they count or enqueue and do nothing else.
 
-    def _on_request(self, request: Request) -> None:
+    def _on_mqtt_request(self, request: Request) -> None:
+        self._on_request(request, partial(self._reply, request))
+
+    def _on_request(self, request: Request, reply: Reply) -> None:
         if self._events.qsize() >= EVENTS_MAX:
-            self._reply(request, Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are already waiting; try again"))
+            reply(Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are already waiting; try again"))
         else:
-            self._events.put(request)
+            self._events.put((request, reply))
 
     def _reply(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> None:
-        """Answer a request where it came from."""
-        if not any(observer.answer(request, outcome) for observer in self._observers):
-            self.link.reply(request, requests.encode_reply(request, outcome))
+        if isinstance(outcome, Reason):
+            _log.info("rejected req/%s: %s", request.verb, outcome)
+        self.link.reply(request, requests.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         if stream == "height":
             self.ledger.settle(seq, "failed" if outcome == "refused" else outcome)
 
-    # Changes of the reconstructor.
+    # Requests, and changes of the reconstructor.
+
+    def _handle(self, request: Request, reply: Reply) -> None:
+        """Carry out a request; it gets exactly one reply, perhaps later."""
+        running = self._active.reconstructor
+        if request.verb == "status":
+            reply(self._status())
+        elif request.verb == "replay":  # only `replay --play` accepts it
+            reply(Reason(ReasonCode.UNAVAILABLE, "this daemon is not playing a recording"))
+        elif isinstance(running, Reason):
+            reply(running)
+        elif request.verb == "record":
+            self._recorder.handle(request, reply, self._document.settings, running, self._camera_now())
+        elif request.verb == "profile":
+            reply(self._choose_profile(request.profile))
+        elif request.verb == "reference":
+            self._references.handle(reply)
+        elif self._sessions is not None:
+            self._sessions.handle(request, reply)
+        else:
+            text = "found no source of poses, expected `serial` in the settings or a recording with poses"
+            reply(Reason(ReasonCode.UNAVAILABLE, text))
+
+    def _choose_profile(self, name: str) -> ProfileChosen | Reason:
+        if name not in self._active.choices:
+            expected = f"one of {', '.join(self._active.choices)}"
+            if name == AUTO:
+                expected += "; the settings give no latency budget"
+            return Reason(ReasonCode.UNKNOWN_PROFILE, f"profile: found {shown(name, 60)}, expected {expected}")
+        self._active.choose(name)
+        self._changed()
+        _log.info("using profile %s", name)
+        return ProfileChosen(self._active.name)
+
+    def _use(self, calibration: Calibration) -> None:
+        """Use another reference."""
+        self._active.use(calibration)
+        return_free_memory()
+        self._changed()
 
     def _changed(self) -> None:
         """Record and publish that the reconstructor was replaced."""
@@ -315,20 +347,6 @@ class App:
         if not isinstance(reconstructor, Reason):
             self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
         self._publish_info()
-
-    def _follow(self) -> None:
-        """Use the reference as far as it has followed; publish the reason if it does not follow."""
-        running, calibration = self._active.reconstructor, self._references.calibration
-        if isinstance(running, Reason) or running.calibration is calibration:
-            self._publish_info()
-        else:
-            self._active.use(calibration)
-            return_free_memory()
-            self._changed()
-
-    def _on_record(self, request: Request) -> None:
-        if not isinstance(reconstructor := self._active.reconstructor, Reason):
-            self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
 
     # Publishing.
 

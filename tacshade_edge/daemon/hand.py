@@ -14,6 +14,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -36,16 +37,16 @@ from tacshade_edge.types import Need
 BYTES_MAX = 1 << 15
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class FingerLine:
     """A finger's end. If no hand's process reads it, the kernel takes some hundred messages and then no more."""
 
-    def __init__(self, sock: socket.socket, wanted: mmap.mmap) -> None:
-        self.sock = sock
-        self._wanted = wanted
+    sock: socket.socket
+    shared: mmap.mmap
 
     @property
     def wanted(self) -> bool:
-        return self._wanted[0] != 0
+        return self.shared[0] != 0
 
     def report(self, finger: Finger) -> None:
         """Send a report, or drop it if there is no room; the next comes soon."""
@@ -123,7 +124,7 @@ _log = logging.getLogger(__name__)
 STREAM: Final = "objects"
 TICK_S: Final = 1.0
 AT_ONCE: Final = 64
-LOOK_S: Final = 0.25  # between two checks for a new listener
+LOOK_S: Final = 0.25  # between two checks for a new listener, a stop or a crash
 STOPPED_S: Final = 1.9
 
 
@@ -133,28 +134,23 @@ class HandProcess:
     def __init__(self, hand: Hand, lines: Lines) -> None:
         self._lines = lines
         self._aggregator = HandAggregator(hand.fingers)
-        self._link = links.make_hand_link(hand, self._on_request, lambda *_: None)
+        self._link = links.make_link(hand, self._on_request, lambda *_: None)
         self._began_s = time.monotonic()
         self._heard: Counter[str] = Counter(dict.fromkeys(hand.fingers, 0))
         self._undecodable = 0
         self._crashes: list[Crash] = []
         self._stopping = False
         self._selector = selectors.DefaultSelector()
-        self._wake, self._wakes = socket.socketpair()
-        self._wake.setblocking(False)
-        self._wakes.setblocking(False)
-        self._selector.register(self._wakes, selectors.EVENT_READ)
         for name, line in lines.hand.items():
             self._selector.register(line, selectors.EVENT_READ, name)
 
     def stop(self) -> None:
         self._stopping = True
-        self._rouse()
 
     def run(self) -> None:
         """Work until `stop`. Raises the exception that ended a thread; the broker then publishes the last will."""
         share_free_memory()
-        with crashes_to(self._on_crash):
+        with crashes_to(self._crashes.append):
             self._link.start()
             notify("READY=1")
             self._loop()
@@ -163,8 +159,6 @@ class HandProcess:
         self._publish_health()
         self._link.stop(STOPPED_S)
         self._selector.close()
-        self._wake.close()
-        self._wakes.close()
         _log.info("stopped: %s", self._link.counters())
 
     def _loop(self) -> None:
@@ -184,12 +178,9 @@ class HandProcess:
                 message = self._aggregator.message(now_ns, time.time_ns())
                 self._link.offer(STREAM, encode_hand(message), message.seq)
                 continue
-            wait_s = LOOK_S if due_ns is None else (due_ns - now_ns) / 1e9
+            wait_s = LOOK_S if due_ns is None else min(LOOK_S, (due_ns - now_ns) / 1e9)
             for key, _ in self._selector.select(max(0.0, min(wait_s, next_tick_s - now_s))):
-                if key.data is None:
-                    self._wakes.recv(4096)
-                else:
-                    self._hear(key.data)
+                self._hear(key.data)
             if self._crashes:
                 error = self._crashes[0].error
                 error.add_note(f"in thread {self._crashes[0].thread}")
@@ -214,16 +205,6 @@ class HandProcess:
             mqtt=self._link.counters(),
         )
         self._link.set_retained("health", codec.encode_json(health), qos=0)
-
-    # Other threads call these.
-
-    def _rouse(self) -> None:
-        with contextlib.suppress(OSError):  # it is awake already, or has ended
-            self._wake.send(b"\0")
-
-    def _on_crash(self, crash: Crash) -> None:
-        self._crashes.append(crash)
-        self._rouse()
 
     def _on_request(self, request: Request) -> None:
         text = f"a hand accepts no requests; send req/{request.verb} to one of its sensors"

@@ -17,18 +17,16 @@ WINDOW_FRAMES = 512
 
 @dataclass(slots=True)
 class Counts:
-    """Frames since the start; captured is the sum of the others."""
+    """Frames since the start; captured is the sum of the others (docs/explanation/architecture.md)."""
 
-    captured: int = 0  # the source delivered them, including undecodable ones
-    published: int = 0  # their height map was handed to the broker
-    superseded: int = 0  # a newer frame replaced them before they were reconstructed or sent
-    without_contact: int = 0  # reconstructed; nothing touched, so there was nothing to send
-    # In contact, but nobody subscribes to the height map: not sent, and reconstructed only as far as needed. Also
-    # frames that were skipped because nobody needs any.
+    captured: int = 0
+    published: int = 0
+    superseded: int = 0
+    without_contact: int = 0
     unasked: int = 0
-    invalid: int = 0  # black, torn, wrong size...
-    failed: int = 0  # could not be decoded or sent
-    pending: int = 0  # still in progress; 0 after a stop
+    invalid: int = 0
+    failed: int = 0
+    pending: int = 0
 
     def as_dict(self) -> dict[str, int]:
         return asdict(self)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Literal
 
-from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
@@ -19,7 +17,8 @@ RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
 
 FRAME_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
-R = TypeVar("R", bound=Callable[[Any], None])
+Reply = Callable[[Any], None]
+"""``reply(outcome)``, called once, from any thread: a request's result or dictionary, or the reason for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +46,8 @@ class FrameObserver:
     """A part of the daemon that sees frames; subclasses override what they need, and the defaults do nothing.
 
     The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need` and `see`. None of
-    these may wait. The main thread calls the others, except `answer`, which any thread may call. `stop` must have
-    returned `stop_s` after the beginning of a stop; the part with the earliest time stops first.
+    these may wait. The main thread calls the others. `stop` must have returned `stop_s` after the beginning of a stop;
+    the part with the earliest time stops first.
     """
 
     health_key: ClassVar[str] = ""
@@ -82,26 +81,22 @@ class FrameObserver:
     def source_changed(self, source: SourceState) -> None:
         """Note a new state of the source, which is being published."""
 
-    def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Take the outcome of a request that this part made; return False if another part made it."""
-        return False
-
     def stop(self, timeout_s: float) -> None:
         """Stop within this time."""
 
 
-class FrameWaiters(Generic[R]):
+class FrameWaiters:
     """Commands, as the functions that answer them, that wait for the first frame taken after them; for any thread."""
 
     def __init__(self, what: str) -> None:
         self._what = what
         self._lock = threading.Lock()
-        self._waiting: list[tuple[int, R]] = []
+        self._waiting: list[tuple[int, Reply]] = []
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, since_ns: int, reply: R) -> None:
+    def put(self, since_ns: int, reply: Reply) -> None:
         """Wait for a frame taken at `since_ns` or later; refuse at once if too many wait."""
         with self._lock:
             busy = len(self._waiting) >= WAITING_MAX
@@ -110,7 +105,7 @@ class FrameWaiters(Generic[R]):
         if busy:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} {self._what}"))
 
-    def take(self, t_ns: int) -> list[R]:
+    def take(self, t_ns: int) -> list[Reply]:
         """Remove and return those that wait for a frame of `t_ns`."""
         return self._remove(lambda since_ns: since_ns <= t_ns)
 
@@ -123,7 +118,7 @@ class FrameWaiters(Generic[R]):
         for reply in self._remove(lambda _: True):
             reply(reason)
 
-    def _remove(self, due: Callable[[int], bool]) -> list[R]:
+    def _remove(self, due: Callable[[int], bool]) -> list[Reply]:
         if not self._waiting:
             return []
         with self._lock:

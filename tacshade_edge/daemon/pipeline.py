@@ -107,7 +107,7 @@ class Mailbox(Generic[T]):
         self._closed = False
 
     def put(self, item: T) -> T | None:
-        """Leave `item` for the taker; never waits. The caller accounts for what it gets back: replaced, or refused."""
+        """Leave `item` for the taker. The caller accounts for what it gets back: replaced, or refused."""
         with self._lock:
             if self._closed:
                 return item
@@ -234,10 +234,7 @@ class Grab:
 
 
 class Reconstruct:
-    """Takes the newest frame, reconstructs it, and shows it to all observers, in their order.
-
-    `posed` adds the pose to a frame after its reconstruction: the pose that follows the frame may have come by then.
-    """
+    """Takes the newest frame, reconstructs it, adds its pose, which may have come by then, and shows it to all."""
 
     def __init__(
         self,
@@ -310,16 +307,7 @@ class Reconstruct:
 
 def _not_reconstructed(frame: Frame, reason: Reason) -> Reconstruction:
     """The invalid result of a frame whose disc is unknown."""
-    return Reconstruction(
-        seq=frame.seq,
-        t_ns=frame.t_ns,
-        wall_ns=frame.wall_ns,
-        profile="",
-        valid=False,
-        reason=reason,
-        contact=False,
-        saturated=False,
-        degraded=None,
-        height=HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0),
-        cloud=ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
-    )
+    height = HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0)
+    cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+    known = (frame.seq, frame.t_ns, frame.wall_ns, "")
+    return Reconstruction(*known, False, reason, False, False, None, height, cloud)

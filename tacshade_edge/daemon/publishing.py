@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
@@ -40,20 +41,12 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
     rounded because Home Assistant stores each value that differs from the previous one.
     """
     base = f"tacshade/{sensor_id}"
+    online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
+    device = {"identifiers": [f"tacshade_{sensor_id}"], "name": f"TacShade {sensor_id}", "model": "TacShade"}
     common = {
-        "device": {
-            "identifiers": [f"tacshade_{sensor_id}"],
-            "name": f"TacShade {sensor_id}",
-            "model": "TacShade",
-            "sw_version": version,
-        },
+        "device": {**device, "sw_version": version},
         "origin": {"name": "tacshade-edge", "sw_version": version},
-        "availability": [
-            {
-                "topic": f"{base}/state",
-                "value_template": "{{ 'online' if value in ('online', 'degraded') else 'offline' }}",
-            }
-        ],
+        "availability": [{"topic": f"{base}/state", "value_template": online}],
     }
     entities: dict[str, dict[str, Any]] = {
         "depth": {
@@ -70,11 +63,7 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
             "state_topic": f"{base}/contact",
             "value_template": "{{ 'ON' if value_json.contact else 'OFF' }}",
         },
-        "state": {
-            "name": "State",
-            "state_topic": f"{base}/state",
-            "entity_category": "diagnostic",
-        },
+        "state": {"name": "State", "state_topic": f"{base}/state", "entity_category": "diagnostic"},
         "profile": {
             "name": "Profile",
             "state_topic": f"{base}/info",
@@ -102,87 +91,75 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
 
 
+@dataclass(eq=False)
 class Publisher(FrameObserver):
     """Publishes what subscribers want of a frame, and settles the frame, if its height is offered by the outcome of
     that. Messages without a listener are left out, except at the beginning and end of a contact, so that no subscriber
     is left with outdated values. With `always_shear` it requests shear even without a listener.
     """
 
-    def __init__(
-        self,
-        offer: Callable[[str, bytes, int], None],
-        publish_event: Callable[[str, bytes], None],
-        settle: Callable[[int, FrameOutcome], None],
-        has_listener: Callable[[str], bool] = lambda stream: True,
-        always_shear: bool = False,
-    ) -> None:
-        self._offer = offer
-        self._publish_event = publish_event
-        self._settle = settle
-        self._has_listener = has_listener
-        self._always_shear = always_shear
-        self._sliding: frozenset[int | None] = frozenset()
-        self._contact = self._touched = False
-        self._contact_sent_ns: int | None = None
-        self.fps = 0.0
+    offer: Callable[[str, bytes, int], None]
+    publish_event: Callable[[str, bytes], None]
+    settle: Callable[[int, FrameOutcome], None]
+    has_listener: Callable[[str], bool] = lambda stream: True
+    always_shear: bool = False
+    fps: float = 0.0
+    _sliding: frozenset[int | None] = frozenset()
+    _contact: bool = False
+    _touched: bool = False
+    _contact_sent_ns: int | None = None
 
     def need(self) -> Need:
-        need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
-        if self._has_listener("sigma"):
+        need = Need.SHEAR if self.always_shear or self.has_listener("shear") else Need.CONTACT
+        if self.has_listener("sigma"):
             need |= Need.SIGMA
-        if self._has_listener("touch"):
+        if self.has_listener("touch"):
             need |= Need.TOUCH
-        if any(map(self._has_listener, ("height", "cloud", "contact"))):
+        if any(map(self.has_listener, ("height", "cloud", "contact"))):
             need |= Need.DEPTH
         return need
 
     def settings_changed(self, settings: Settings) -> None:
-        self._always_shear = settings.shear == "always"
+        self.always_shear = settings.shear == "always"
 
     def see(self, seen: FrameResult) -> None:
         if (result := seen.reconstruction) is None:
-            self._settle(seen.frame.seq, "unasked")
+            self.settle(seen.frame.seq, "unasked")
             return
         changed = result.contact != self._contact
         self._contact = result.contact
-        height_goes = changed or (result.contact and self._has_listener("height"))
+        height_goes = changed or (result.contact and self.has_listener("height"))
         if height_goes:
             self._send("height", wire.encode_height, result, seen)
-        if result.contact and (changed or self._has_listener("cloud")):
+        if result.contact and (changed or self.has_listener("cloud")):
             self._send("cloud", wire.encode_cloud, result, seen)
-        if result.shear_mm is not None and (result.contact or changed) and self._has_listener("shear"):
-            self._send("shear", wire.encode_shear, result, seen)
-        if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
-            self._send("sigma", wire.encode_sigma, result, seen)
+        for stream, encode, grid in (
+            ("shear", wire.encode_shear, result.shear_mm),
+            ("sigma", wire.encode_sigma, result.sigma_mm),
+        ):
+            if grid is not None and (result.contact or changed) and self.has_listener(stream):
+                self._send(stream, encode, result, seen)
         touch_ended = result.touch is None and not result.contact and (changed or self._touched)
         self._touched = result.touch is not None
-        if (self._touched or touch_ended) and self._has_listener("touch"):
-            self._offer("touch", messages.encode_touch(result), result.seq)
+        if (self._touched or touch_ended) and self.has_listener("touch"):
+            self.offer("touch", messages.encode_touch(result), result.seq)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
-            self._publish_event("event/slip", messages.encode_slip(result, sliding[began]))
+            self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
         self._sliding = frozenset(sliding)
         sent_ns = self._contact_sent_ns
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
-        if changed or (due and self._has_listener("contact")):
+        if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
-            self._offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
-        if height_goes:
-            return
-        if result.contact:
-            self._settle(result.seq, "unasked")
-        else:
-            self._settle(result.seq, "without_contact" if result.valid else "invalid")
+            self.offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
+        if not height_goes:
+            without: FrameOutcome = "without_contact" if result.valid else "invalid"
+            self.settle(result.seq, "unasked" if result.contact else without)
 
     def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
-        frame, calibration = seen.frame, seen.calibration
-        payload = encode(
-            result,
-            calibration_crc32=0 if calibration is None else calibration.crc32,
-            pose=frame.pose,
-            pose_error_us=frame.pose_error_us,
-        )
-        self._offer(stream, payload, result.seq)
+        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
+        pose = {"pose": seen.frame.pose, "pose_error_us": seen.frame.pose_error_us}
+        self.offer(stream, encode(result, calibration_crc32=crc32, **pose), result.seq)
 
 
 # This many periods without one good frame are a state, not an event.
@@ -266,9 +243,11 @@ class Preview(FrameObserver):
     def publish(self) -> None:
         """Publish the newest frame if somebody listens."""
         frame = self._latest
-        if frame is None or frame is self._published or not self._link.connected:
-            return
-        if not self._link.has_listener("preview"):
+        if (
+            frame is None
+            or frame is self._published
+            or not (self._link.connected and self._link.has_listener("preview"))
+        ):
             return
         self._published = frame
         size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))

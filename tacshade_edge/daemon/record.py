@@ -1,32 +1,41 @@
-"""Recording next to the running daemon, one at a time, by a thread behind a bounded queue: no frame waits for the disk.
-
-If recordings begin with a pre-roll, the thread runs before the request and keeps the frames that it will write first.
+"""Records next to the running daemon (``req/record``), one recording at a time, by a thread behind a bounded queue: no
+frame waits for the disk. With a pre-roll, the thread keeps the latest frames, and a recording begins with them.
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, Literal, TypeVar
 
+import msgspec
 import numpy as np
 
-from tacshade_edge.errors import DeviceError
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.observer import RECORDED_S, FrameObserver, Reply, SourceState
+from tacshade_edge.errors import DeviceError, TacshadeError
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.settings import Settings, to_yaml
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.version import installed_version
 
+_log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
 class ByteQueue(Generic[T]):
-    """A first-in, first-out queue between two threads, bounded in bytes; `refused` counts what found it full."""
+    """A first-in, first-out queue between two threads, bounded in bytes."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
@@ -34,19 +43,16 @@ class ByteQueue(Generic[T]):
         self._items: deque[tuple[T, int]] = deque()
         self._bytes = 0
         self._closed = False
-        self.refused = 0
 
-    def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> None:
-        """Add an item; refuse and count it if full. `reserve_bytes` above the limit are for this kind of item."""
+    def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> bool:
+        """Add an item, or return False if full. `reserve_bytes` above the limit are for this kind of item."""
         with self._ready:
-            if self._closed:
-                return
             if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
-                self.refused += 1
-                return
+                return False
             self._items.append((item, size_bytes))
             self._bytes += size_bytes
             self._ready.notify()
+            return True
 
     def take(self, timeout_s: float) -> T | None:
         with self._ready:
@@ -71,9 +77,19 @@ class ByteQueue(Generic[T]):
         return len(self._items)
 
 
+# 54 grey frames of 640x480: almost a second at 60 per second. Part of the 150 MB that the service may use.
+QUEUE_BYTES: Final = 16 * 2**20
+EVENTS_RESERVE_BYTES: Final = 256 * 1024  # an event fits when no frame does
 PRE_ROLL_BYTES: Final = 64 * 2**20
 """As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Within the service's 150 MB, with 16 MiB that wait."""
 EVENT_BYTES: Final = 1024
+SYNC_S = STATUS_PERIOD_S = 1.0
+_NO_PIXELS = np.zeros((0, 0), np.uint8)
+TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
+SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the frame source has no more frames")
+DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
+# These endings are normal and leave the recorder idle; any other is a reason that it stopped.
+GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,53 +113,15 @@ class Event:
     data: Mapping[str, object]
 
 
-class Kept:
-    """The latest frames, encoded, for one thread; `given_up` counts those that `bound` removed for lack of room."""
-
-    def __init__(self) -> None:
-        self._items: deque[Shot | Event] = deque()
-        self._bytes = 0
-        self.frames = self.given_up = 0
-
-    def add(self, item: Shot | Event) -> None:
-        self._items.append(item)
-        self._bytes += _size(item)
-        self.frames += isinstance(item, Shot)
-
-    def take(self) -> Shot | Event:
-        item = self._items.popleft()
-        self._bytes -= _size(item)
-        self.frames -= isinstance(item, Shot)
-        return item
-
-    def forget(self, oldest_ns: int) -> None:
-        while self._items and self._items[0].t_ns < oldest_ns:
-            self.take()
-
-    def bound(self, limit_bytes: int) -> None:
-        """Remove the oldest items until the rest has at most this many bytes."""
-        while self._bytes > limit_bytes:
-            self.given_up += isinstance(self.take(), Shot)
-
-    def __len__(self) -> int:
-        return len(self._items)
+Kept = Shot | Event | Literal["end"]
 
 
-def _size(item: Shot | Event) -> int:
+def _size(item: Kept) -> int:
     return len(item.png) if isinstance(item, Shot) else EVENT_BYTES
 
 
-# 54 grey frames of 640x480: almost a second at 60 per second. Part of the 150 MB that the service may use.
-QUEUE_BYTES = 16 * 2**20
-EVENTS_RESERVE_BYTES = 256 * 1024  # an event fits when no frame does
-SYNC_S = 1.0
-_NO_PIXELS = np.zeros((0, 0), np.uint8)
-Posed = Callable[[Frame], Frame]
-TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
-SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the frame source has no more frames")
-DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
-# These endings are normal and leave the recorder idle; any other is a reason that it stopped.
-GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
+def _frames(items: Iterable[object]) -> int:
+    return sum(isinstance(item, Shot | Frame) for item in items)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,155 +142,117 @@ class Recorded:
 
     def as_dict(self) -> dict[str, str | int | float]:
         """The content of ``status/recorder``, ``res/record`` and ``recording.json``."""
-        return {
-            "folder": str(self.folder),
-            "frames": self.frames,
-            "bytes": self.bytes,
-            "dropped": self.dropped,
-            **reason_fields(self.ending, "ending"),
-        }
+        counts = {"frames": self.frames, "bytes": self.bytes, "dropped": self.dropped}
+        return {"folder": str(self.folder), **counts, **reason_fields(self.ending, "ending")}
 
 
-class _Job:
-    """One recording, or the frames kept before one is requested. Its first ending counts."""
+@dataclass(slots=True, eq=False)
+class _Recording:
+    """A recording that goes on; it is also the queue's item at which the thread begins it. Its first ending counts."""
 
-    def __init__(self, pre_roll_ns: int, posed: Posed | None) -> None:
-        self.recorder: Recorder | None = None  # once a recording is requested
-        self.calibration_crc32 = 0
-        self.end_ns = 0
-        self.waiting: ByteQueue[Frame | Event] = ByteQueue(QUEUE_BYTES)
-        self.kept = Kept()
-        self.ending: Reason | None = None
-        self.done = False
-        self._about: Mapping[str, object] = {}
-        self._refused = 0  # before the request
-        self._pre_roll_ns = pre_roll_ns
-        self._oldest_ns = 0
-        self._posed = posed
-        self._lost = 0  # accepted but not written
-        self._first: tuple[int, int] | None = None
+    recorder: Recorder
+    settings_yaml: str
+    calibration: Calibration
+    about: Mapping[str, object]
+    seconds: float
+    began_ns: int = field(default_factory=time.monotonic_ns)
+    ending: Reason | None = None
+    done: bool = False
+    refused: int = 0  # frames, by the queue
+    lost: int = 0  # frames taken but not written
+    first: tuple[int, int] | None = None
 
-    def start(
-        self, recorder: Recorder, begin: Callable[[], None], seconds: float, crc32: int, about: Mapping[str, object]
-    ) -> None:
-        """Write what is kept, and what comes."""
-        now_ns = time.monotonic_ns()
-        self.end_ns = now_ns + round(seconds * 1e9)
-        self._oldest_ns = max(now_ns - self._pre_roll_ns, self._oldest_ns) if self._pre_roll_ns else 0
-        self._refused, self._begin, self.calibration_crc32, self._about = self.waiting.refused, begin, crc32, about
-        self.recorder = recorder  # last: the thread begins to write
+    @property
+    def end_ns(self) -> int:
+        return self.began_ns + round(self.seconds * 1e9)
 
-    def tap(self, frame: Frame) -> None:
-        """Take the next captured frame; called in the grab thread."""
-        if self.recorder is None or frame.t_ns <= self.end_ns:
-            self.waiting.put(frame, frame.image.nbytes)
-
-    def forget(self) -> None:
-        self._oldest_ns = time.monotonic_ns()
-
-    def end(self, ending: Reason) -> None:
-        """Accept nothing more; the thread writes what waits."""
-        self.ending = self.ending or ending
-        self.waiting.close()
-
-    def now(self) -> Recorded | None:
-        if (recorder := self.recorder) is None:
-            return None
-        dropped = self.waiting.refused - self._refused + self._lost
-        return Recorded(recorder.folder, recorder.frames, recorder.bytes, dropped, self.ending)
-
-    def pre_roll_dropped(self) -> int:
-        """Number of frames recent enough to be kept that were not, until the recording was requested."""
-        return self.kept.given_up + (self._refused if self.recorder else self.waiting.refused)
-
-    def work(self) -> bool:
-        """Run the thread: keep frames until a recording is requested, then write to its end; return whether one was."""
-        while self.recorder is None and not self.waiting.drained:
-            if (item := self._take(SYNC_S)) is not None:
-                self.kept.add(item)
-                self.kept.forget(max(item.t_ns - self._pre_roll_ns, self._oldest_ns))
-                self.kept.bound(PRE_ROLL_BYTES)
-        if self.recorder is not None:
-            self._write(self.recorder)
-        return self.recorder is not None
-
-    def _take(self, timeout_s: float) -> Shot | Event | None:
-        item = self.waiting.take(timeout_s)
-        if not isinstance(item, Frame):
-            return item
-        frame = item if self._posed is None else self._posed(item)
-        return Shot(replace(frame, image=_NO_PIXELS), png_of(frame.image))
-
-    def _write(self, recorder: Recorder) -> None:
-        self.kept.forget(self._oldest_ns)
-        try:
-            self._begin()
-            self._write_all(recorder)
-        except DeviceError as error:
-            self.end(error.reason)
-        self._lost += sum(isinstance(self.waiting.take(0), Frame) for _ in range(len(self.waiting)))
-        self._lost += sum(isinstance(self.kept.take(), Shot) for _ in range(len(self.kept)))
-        times = dict(zip(("first_t_ns", "first_wall_ns"), self._first or (None, None), strict=True))
-        now = self.now()
-        assert now is not None
-        try:
-            recorder.finish({**now.as_dict(), **times, **self._about})
-        except DeviceError as error:
-            if not now.failed:
-                self.ending = error.reason
-            recorder.close()
-        self.done = True
-
-    def _write_all(self, recorder: Recorder) -> None:
-        """Take one in and write one out, so that what is kept never grows, and is written while nothing comes."""
-        synced_s = time.monotonic()
-        while self.kept or not self.waiting.drained:
-            if (item := self._take(0 if self.kept else SYNC_S)) is not None:
-                self.kept.add(item)
-            if self.kept:
-                self._add(recorder, self.kept.take())
-            if time.monotonic() - synced_s >= SYNC_S:
-                recorder.sync()
-                synced_s = time.monotonic()
-
-    def _add(self, recorder: Recorder, item: Shot | Event) -> None:
-        if isinstance(item, Event):
-            recorder.event(item.t_ns, item.kind, item.data)
-            return
-        try:
-            if not recorder.add(item.frame, item.png):
-                found = f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk"
-                raise DeviceError(found, code=ReasonCode.DISK_FULL)
-        except DeviceError:
-            self._lost += 1
-            raise
-        self._first = self._first or (item.frame.t_ns, item.frame.wall_ns)
+    def now(self) -> Recorded:
+        recorder = self.recorder
+        return Recorded(recorder.folder, recorder.frames, recorder.bytes, self.refused + self.lost, self.ending)
 
 
-class LiveRecorder:
+class LiveRecorder(FrameObserver):
     """Carries out ``req/record``, each request with one reply, for ``stop`` when everything is written. `written` and
     `posed`, which may wait for a frame's pose, are called in the thread `record`.
     """
 
-    def __init__(self, report: Callable[[], None], posed: Posed | None = None) -> None:
-        self.tap: Callable[[Frame], None] | None = None
+    health_key = "recorder"
+    stop_s = RECORDED_S
+
+    def __init__(
+        self,
+        publish: Callable[[bytes], None],
+        written: Callable[[], None],
+        posed: Callable[[Frame], Frame] = lambda frame: frame,
+        pre_roll_s: float = 0.0,
+    ) -> None:
+        self._publish = publish
+        self._written = written
         self._posed = posed
-        self._report = report
-        self._job: _Job | None = None
-        self._thread: threading.Thread | None = None
-        self._written = self._dropped = self._pre_roll_dropped = 0  # of recordings that ended
-        self._pre_roll_ns = 0
+        self._queue: ByteQueue[Frame | Event | _Recording | Literal["end"]] = ByteQueue(QUEUE_BYTES)
+        self._kept: deque[Kept] = deque()  # to be written, or perhaps; the record thread's
+        self._recording: _Recording | None = None
+        self._latest: Recorded | None = None
+        self._stop_reply: Reply | None = None
+        self._counts = {"written": 0, "dropped": 0}  # of recordings that ended
+        self._pre_roll_ns = round(pre_roll_s * 1e9)
+        self._oldest_ns = 0  # older frames are of another calibration
+        self._pre_roll = self._refused = self._given_up = 0  # frames: kept, refused by the queue, without room
         self._calibration_crc32: int | None = None
+        self._published, self._published_s = b"", 0.0
+        self._published_folder: Path | None = None
+        self._thread = threading.Thread(target=self._run, name="record", daemon=True)
 
-    def keep_pre_roll(self, pre_roll_s: float) -> None:
-        """Make recordings begin this long before their request, from the next one on; 0: at the request."""
-        pre_roll_ns = round(pre_roll_s * 1e9)
-        if pre_roll_ns != self._pre_roll_ns and self._job is not None and self._job.recorder is None:
-            self.tap = None
-            self._close(self._job)
-        self._pre_roll_ns = pre_roll_ns
+    def start(self) -> None:
+        self._thread.start()
 
-    def start(
+    def stop(self, timeout_s: float) -> None:
+        """Wait until the recording is written, and answer a ``stop`` request."""
+        self.end(DAEMON_STOPPED)
+        self._queue.close()
+        self._thread.join(timeout_s)
+        self.poll()
+
+    def handle(
+        self, request: Request, reply: Reply, settings: Settings, reconstructor: Reconstructor, source: SourceState
+    ) -> None:
+        try:
+            if request.action == "start":
+                reply({"folder": str(self._start(request, settings, reconstructor, source))})
+            elif (recording := self._recording) is None:
+                raise DeviceError(f"found no recording to {request.action}", code=ReasonCode.NO_RECORDING)
+            elif request.action == "mark":
+                self.event("mark", text=request.text)
+                reply({"folder": str(recording.recorder.folder), "frames": recording.recorder.frames})
+            elif self._stop_reply is not None:
+                raise DeviceError("busy: the recording is already stopping", code=ReasonCode.BUSY)
+            else:
+                self._stop_reply = reply
+                self.end(STOPPED)
+        except TacshadeError as error:
+            reply(error.reason)
+        self.poll()
+
+    def _start(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> Path:
+        name = request.name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        folder = Path(settings.recorder.folder) / name
+        calibration, profile = reconstructor.calibration, reconstructor.profile.name
+        about = {"version": installed_version(), "profile": profile, "calibration_crc32": calibration.crc32}
+        make = Recorder if request.format == "folder" else partial(McapRecorder, sensor_id=settings.sensor_id)
+        replayable = to_yaml(msgspec.structs.replace(settings, calibration=CALIBRATION_NAME))
+        try:
+            self.begin(folder, request.seconds, replayable, calibration, about, make)
+        except DeviceError as error:
+            if error.code != ReasonCode.DISK:
+                raise
+            fix = "set recorder.folder to a folder that the daemon can write to"
+            raise DeviceError(f"{error}; {fix}", code=error.code) from None
+        state = {"state": source.state, **reason_fields(source.reason)}
+        self.event("start", wall_ns=time.time_ns(), **state, source=source.details, **about)
+        _log.info("recording to %s", folder)
+        return folder
+
+    def begin(
         self,
         folder: Path,
         seconds: float,
@@ -326,85 +266,177 @@ class LiveRecorder:
             doing = "still writing the latest recording to" if now.ending else "already recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder)
-        job = self._job or _Job(0, self._posed)
-        begin = partial(recorder.begin, settings_yaml, calibration)
-        job.start(recorder, begin, seconds, calibration.crc32, about)
-        if job is not self._job:
-            self._run(job)
-
-    def _run(self, job: _Job) -> None:
-        def run() -> None:
-            if job.work():
-                self._report()
-
-        self._job, self._thread = job, threading.Thread(target=run, name="record", daemon=True)
-        self._thread.start()
-        self.tap = job.tap
-
-    def _close(self, job: _Job) -> None:
-        """Add up the figures of a job that has ended, or that must keep nothing more."""
-        job.waiting.close()
-        self._pre_roll_dropped += job.pre_roll_dropped()
-        self._job = None
+        recording = _Recording(recorder, settings_yaml, calibration, about, seconds)
+        self._queue.put(recording, 0, reserve_bytes=EVENTS_RESERVE_BYTES)
+        self._recording = recording
 
     def end(self, ending: Reason) -> None:
-        """End the present recording, if there is one; `poll` reports when it is written."""
-        self.tap = None
-        if ending is DAEMON_STOPPED:
-            self._pre_roll_ns = 0  # `poll` starts no thread again
-        if self._job is not None:
-            self._job.end(ending)
+        """End the present recording, if there is one; `poll` publishes when it is written."""
+        if (recording := self._recording) is not None and recording.ending is None:
+            recording.ending = ending
+            self._queue.put("end", 0, reserve_bytes=EVENTS_RESERVE_BYTES)
+
+    @property
+    def tap(self) -> Callable[[Frame], None] | None:
+        """The function that takes each captured frame, while a recording runs or a pre-roll is kept."""
+        recording = self._recording
+        return self._take if self._pre_roll_ns or (recording and not recording.ending) else None
+
+    def _take(self, frame: Frame) -> None:
+        recording = self._recording
+        if recording is not None and frame.t_ns > recording.end_ns:
+            return
+        if self._queue.put(frame, frame.image.nbytes):
+            return
+        if recording is not None and recording.ending is None:
+            recording.refused += 1
+        else:
+            self._refused += 1
 
     def event(self, kind: str, **data: object) -> None:
-        if self._job is not None:
+        if self._recording is not None or self._pre_roll_ns:
             event = Event(time.monotonic_ns(), kind, data)
-            self._job.waiting.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
+            self._queue.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
+
+    def settings_changed(self, settings: Settings) -> None:
+        self._pre_roll_ns = round(settings.recorder.pre_roll_s * 1e9)
+
+    def source_changed(self, source: SourceState) -> None:
+        self.event("source", state=source.state, **reason_fields(source.reason))
 
     def reconstructs_with(self, profile: str, calibration_crc32: int) -> None:
         """Note the profile and calibration in use: another reference ends a recording, which contains the old one."""
-        other, self._calibration_crc32 = calibration_crc32 != self._calibration_crc32, calibration_crc32
-        if (job := self._job) is None:
-            return
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
-        if job.recorder is None and other:
-            job.forget()
-        elif job.recorder and calibration_crc32 != job.calibration_crc32:
+        if calibration_crc32 != self._calibration_crc32:
+            self._calibration_crc32, self._oldest_ns = calibration_crc32, time.monotonic_ns()
+        if self._recording is not None and calibration_crc32 != self._recording.calibration.crc32:
             self.end(Reason(ReasonCode.CALIBRATION_CHANGED, "the reference or calibration changed"))
 
-    def poll(self) -> Recorded | None:
-        """End a recording that is over; return one that was finished since the last call."""
-        if self._job is None and self._pre_roll_ns:
-            self._run(_Job(self._pre_roll_ns, self._posed))
-        job = self._job
-        if job is None or job.recorder is None:
-            return None
-        if not job.ending and time.monotonic_ns() > job.end_ns:
-            self.end(TIME)
-        if job.ending:
-            self.tap = None  # a disk that failed ends it from the other thread
-        if not job.done:
-            return None
-        recorded = job.now()
-        assert recorded is not None
-        self._written += recorded.frames
-        self._dropped += recorded.dropped
-        self._close(job)
-        return recorded
-
     def now(self) -> Recorded | None:
-        return self._job.now() if self._job else None
+        return self._recording.now() if self._recording else None
 
-    def counts(self) -> dict[str, int]:
-        """Counts for ``health``: frames written and dropped since the start, frames waiting, and the pre-roll."""
-        job, now = self._job, self.now()
-        waiting = len(job.waiting) + len(job.kept) if job and now else 0
-        written, dropped = (now.frames, now.dropped) if now else (0, 0)
-        counts = {"written": self._written + written, "dropped": self._dropped + dropped, "waiting": waiting}
-        if not self._pre_roll_ns:
-            return counts
-        kept, given_up = (0 if now or not job else job.kept.frames), job.pre_roll_dropped() if job else 0
-        return {**counts, "pre_roll": kept, "pre_roll_dropped": self._pre_roll_dropped + given_up}
+    def health(self) -> dict[str, int]:
+        """Frames written and dropped since the start, frames waiting, and the pre-roll."""
+        recording, now = self._recording, self.now()
+        counts = {
+            "written": self._counts["written"] + (now.frames if now else 0),
+            "dropped": self._counts["dropped"] + (now.dropped if now else 0),
+            "waiting": len(self._queue) + len(self._kept) if recording else 0,
+        }
+        if self._pre_roll_ns:
+            counts["pre_roll"] = 0 if recording else self._pre_roll
+            counts["pre_roll_dropped"] = self._refused + self._given_up
+        return counts
 
-    def join(self, timeout_s: float) -> None:
-        if self._thread is not None:
-            self._thread.join(timeout_s)
+    def poll(self) -> None:
+        """End a recording that is over, answer the request to stop it, and publish ``status/recorder``."""
+        recording = self._recording
+        if recording is not None and time.monotonic_ns() > recording.end_ns:
+            self.end(TIME)
+        if recording is not None and recording.done:
+            self._latest, self._recording = recording.now(), None
+            self._counts["written"] += self._latest.frames
+            self._counts["dropped"] += self._latest.dropped
+            _log.info("recording ended: %s", self._latest.as_dict())
+            if (reply := self._stop_reply) is not None:
+                self._stop_reply = None
+                reply(self._latest.as_dict())
+        self._publish_status(time.monotonic())
+
+    def _publish_status(self, now_s: float) -> None:
+        recording, latest = self._recording, self._latest
+        folder = recording.recorder.folder if recording else None
+        if recording is not None:
+            seconds = {"seconds": round((time.monotonic_ns() - recording.began_ns) / 1e9, 1)}
+            details: dict[str, Any] = {**recording.now().as_dict(), **seconds, "of_seconds": recording.seconds}
+            status = encode_status("recording", None, details)
+        elif latest is None:
+            status = encode_status("idle")
+        else:
+            state, reason = ("stopped", latest.ending) if latest.failed else ("idle", None)
+            status = encode_status(state, reason, latest.as_dict())
+        going_on = recording is not None and self._published_folder == folder
+        if status == self._published or (going_on and now_s < self._published_s + STATUS_PERIOD_S):
+            return
+        self._published, self._published_s, self._published_folder = status, now_s, folder
+        self._publish(status)
+
+    # The thread runs these.
+
+    def _run(self) -> None:
+        """Take one in and write one out, so that what is kept never grows, and is written while nothing comes."""
+        kept, recording, synced_s = self._kept, None, 0.0
+        while True:
+            writing = recording is not None and bool(kept)
+            item = self._queue.take(0 if writing else SYNC_S)
+            if item is None and not writing and self._queue.drained:
+                return
+            now_ns = time.monotonic_ns()
+            try:
+                if isinstance(item, _Recording):
+                    recording = item
+                    item.recorder.begin(item.settings_yaml, item.calibration)
+                elif isinstance(item, Frame):
+                    frame = self._posed(item)
+                    kept.append(Shot(replace(frame, image=_NO_PIXELS), png_of(frame.image)))
+                    now_ns = item.t_ns
+                elif item is not None and (recording is not None or isinstance(item, Event)):
+                    kept.append(item)
+                if recording is None:
+                    self._bound(now_ns - self._pre_roll_ns)
+                elif kept and self._write(recording):
+                    recording = None
+                elif time.monotonic() - synced_s >= SYNC_S:
+                    recording.recorder.sync()
+                    synced_s = time.monotonic()
+            except DeviceError as error:
+                assert recording is not None
+                self._fail(recording, error.reason)
+                recording = None
+
+    def _bound(self, oldest_ns: int) -> None:
+        """Keep only the pre-roll; without one, nothing."""
+        kept, oldest_ns = self._kept, max(oldest_ns, self._oldest_ns) if self._pre_roll_ns else 2**63
+        while kept and (isinstance(kept[0], str) or kept[0].t_ns < oldest_ns):
+            kept.popleft()
+        too_many_bytes = sum(map(_size, kept)) - PRE_ROLL_BYTES
+        while too_many_bytes > 0:
+            item = kept.popleft()
+            too_many_bytes -= _size(item)
+            self._given_up += isinstance(item, Shot)
+        self._pre_roll = _frames(kept)
+
+    def _write(self, recording: _Recording) -> bool:
+        """Write the oldest of what is kept; return whether it was the end."""
+        item, recorder = self._kept[0], recording.recorder
+        if isinstance(item, str):
+            self._finish(recording)
+        elif isinstance(item, Event):
+            recorder.event(item.t_ns, item.kind, item.data)
+        elif not recorder.add(item.frame, item.png):
+            found = f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk"
+            raise DeviceError(found, code=ReasonCode.DISK_FULL)
+        else:
+            recording.first = recording.first or (item.frame.t_ns, item.frame.wall_ns)
+        self._kept.popleft()
+        return isinstance(item, str)
+
+    def _fail(self, recording: _Recording, reason: Reason) -> None:
+        """End a recording that cannot be written further; what waits for it is lost."""
+        recording.ending = recording.ending or reason
+        waiting = [self._queue.take(0) for _ in range(len(self._queue))]
+        recording.lost += _frames((*waiting, *self._kept))
+        self._kept.clear()
+        self._finish(recording)
+
+    def _finish(self, recording: _Recording) -> None:
+        now = recording.now()
+        times = dict(zip(("first_t_ns", "first_wall_ns"), recording.first or (None, None), strict=True))
+        try:
+            recording.recorder.finish({**now.as_dict(), **times, **recording.about})
+        except DeviceError as error:
+            if not now.failed:
+                recording.ending = error.reason
+            recording.recorder.close()
+        recording.done = True
+        self._written()

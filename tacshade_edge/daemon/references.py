@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from tacshade_edge.core.calibration.reference import references
 from tacshade_edge.core.calibration.reference.references import Distance, rezero
-from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult
+from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult, Reply
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import ReferenceTaken
@@ -21,11 +21,12 @@ from tacshade_edge.storage.atomic_files import FolderLock
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.storage.calibration.reference_file import StoredReference
-from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+from tacshade_edge.types import U8, Calibration, Frame, Need, Reconstruction
 
 _log = logging.getLogger(__name__)
 
 REFERENCE_FRAMES = UNTOUCHED_FRAMES = 10
+REFERENCE_TIMEOUT_S = 5.0
 REST_S = 10.0  # a dent after a release is gone after 3 s; a soft skin under a long press needs a little more
 PERIOD_S = 60.0  # what the reference follows changes over minutes and years
 GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
@@ -60,8 +61,8 @@ class UntouchedFrames:
     """
 
     def __init__(self) -> None:
-        self.at_rest = False
-        self.discarded = 0
+        self.at_rest = False  # nothing touched in the latest frame
+        self.discarded = 0  # batches that were begun and not finished
         self._images: list[U8] = []
         self._finished: list[U8] | Reason | None = None  # set by one thread, cleared by the other
         self._last_ns: int | None = None
@@ -69,8 +70,7 @@ class UntouchedFrames:
 
     def take(self) -> list[U8] | Reason | None:
         """The frames, or the doubt about one of them; None if there are none. Until taken, they block further ones."""
-        finished = self._finished
-        if finished is not None:
+        if (finished := self._finished) is not None:
             self._finished = None
         return finished
 
@@ -99,17 +99,13 @@ class UntouchedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """The reference that following starts from, of the calibration's file or of a request that outlives a restart.
+    """The reference that following starts from, of the calibration's file or of a request that outlives a restart."""
 
-    Requests are measured against the file's calibration, `calibrated`, so that no number of them leads away from it.
-    `reason` is why a stored reference is not used, or why this one will not outlive a restart.
-    """
-
-    calibrated: Calibration
+    calibrated: Calibration  # the file's: requests are measured against it, so that they never lead away from it
     calibration: Calibration
     source: Literal["calibration", "request"] = "calibration"
     wall_ns: int | None = None
-    reason: Reason | None = None
+    reason: Reason | None = None  # why a stored one is not used, or why this one will not outlive a restart
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -121,10 +117,7 @@ class Origin:
 
 
 def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
-    """The reference that was stored for a calibration, or the calibration's own.
-
-    One stored for another calibration is deleted, so that it is reported once, except if another daemon owns it.
-    """
+    """The reference that was stored for a calibration, or the calibration's own; one stored for another is deleted."""
     try:
         stored = reference_file.load(path, calibrated)
     except ConfigError as error:
@@ -166,12 +159,23 @@ class References(FrameObserver):
     health_key = "reference"
     stop_s = STITCHED_S
 
-    def __init__(self, calibrated: Calibration | Reason, path: Path, sensor_id: str) -> None:
+    def __init__(
+        self,
+        calibrated: Calibration | Reason,
+        path: Path,
+        sensor_id: str,
+        use: Callable[[Calibration], None],
+        changed: Callable[[], None] = lambda: None,
+        held: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._sensor_id = sensor_id
         self._path = path
+        self._use, self._changed, self._held = use, changed, held
         self._lock: FolderLock | None = None
         self._unowned: Reason | None = None
         self.frames = UntouchedFrames()
+        self._collector: ReferenceCollector | None = None
+        self._request: tuple[Reply, float] | None = None  # and its deadline
         self._looks = self._renewals = 0
         self._state: State = "waiting"
         self._reason: Reason | None = None
@@ -190,8 +194,33 @@ class References(FrameObserver):
             self._own_file()
             self._begin(restored(calibrated, path, self._unowned))
 
+    def handle(self, reply: Reply) -> None:
+        """Take a reference from the next frames."""
+        if self._request is not None:
+            reply(Reason(ReasonCode.BUSY, "busy: already taking a reference"))
+            return
+        self._request = reply, time.monotonic() + REFERENCE_TIMEOUT_S
+        self._collector = ReferenceCollector()
+
+    def need(self) -> Need:
+        return Need.CONTACT if self._collector is None else Need.DEPTH
+
     def see(self, seen: FrameResult) -> None:
         self.frames.see(seen.frame, seen.reconstruction)
+        if (collector := self._collector) is not None and seen.reconstruction is not None:
+            collector.see(seen.frame, seen.reconstruction)
+
+    def poll(self) -> None:
+        if self._request is not None and self._collector is not None:
+            (reply, deadline_s), images = self._request, self._collector.outcome
+            if images is None and time.monotonic() >= deadline_s:
+                text = f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
+                images = Reason(ReasonCode.TIMEOUT, text)
+            if images is not None:
+                self._request = self._collector = None
+                reply(images if isinstance(images, Reason) else self._taken(images))
+        if (frames := self.frames.take()) is not None:
+            self.follow(frames)
 
     def stop(self, timeout_s: float = 0) -> None:
         """Let another daemon have the stored reference."""
@@ -211,40 +240,44 @@ class References(FrameObserver):
                 _log.warning("%s; this daemon does not store new references", error)
                 self._unowned = error.reason
 
-    def take(self, images: Sequence[U8]) -> ReferenceTaken:
-        """Start over with images of the resting sensor. Raises ConfigError if they cannot be used."""
+    def _taken(self, images: Sequence[U8]) -> ReferenceTaken | Reason:
+        """Start over with images of the resting sensor, or return why they cannot be used."""
         if isinstance(self._origin, Reason):
-            raise ConfigError(self._origin.text, code=self._origin.code)
+            return self._origin
         self._own_file()
-        origin = requested(self._origin.calibrated, images, self._path, self._unowned)
+        try:
+            origin = requested(self._origin.calibrated, images, self._path, self._unowned)
+        except ConfigError as error:
+            return Reason(ReasonCode.REFERENCE_INVALID, str(error))
         self._begin(origin)
         taken = origin.calibration
+        self._use(taken)
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
-    def follow(self, held: bool) -> bool:
-        """Follow if frames for it have come and no recording holds it; True if what is published of it has changed."""
-        taken, calibration = self.frames.take(), self.calibration
-        if taken is None or isinstance(self._origin, Reason) or isinstance(calibration, Reason):
-            return False
-        if held:
-            return self._change_state("held", None)
+    def follow(self, frames: list[U8] | Reason) -> None:
+        """Follow frames of the sensor at rest, unless there was a doubt about one of them, or a recording goes on."""
+        if isinstance(self._origin, Reason) or isinstance(self.calibration, Reason):
+            return
+        if self._held():
+            self._change_state("held", None)
+            return
         self._looks += 1
-        if isinstance(taken, Reason):
-            return self._change_state("stopped", taken)
-        followed = references.follow(self._origin.calibration, calibration, taken)
+        if isinstance(frames, Reason):
+            self._change_state("stopped", frames)
+            return
+        followed = references.follow(self._origin.calibration, self.calibration, frames)
         return_free_memory()  # the heap kept 7 MB
         self._distance = followed.distance
-        changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
+        self._change_state("stopped" if followed.reason else "following", followed.reason)
         # A new reference during a contact would be a step in its heights; the next frames at rest yield it again.
-        if followed.calibration is None or not self.frames.at_rest:
-            return changed
-        self.calibration = with_crc(followed.calibration)
-        self._renewals += 1
-        _log.debug("reference renewed: %s", followed.distance)
-        return True
+        if followed.calibration is not None and self.frames.at_rest:
+            self.calibration = with_crc(followed.calibration)
+            self._renewals += 1
+            _log.debug("reference renewed: %s", followed.distance)
+            self._use(self.calibration)
 
     def info(self) -> dict[str, Any] | None:
-        """The content for ``info``: where the reference began, its bounds from there, and whether it reached them."""
+        """The content for ``info``."""
         if isinstance(self._origin, Reason):
             return None
         disc = self._origin.calibration.geometry.disc
@@ -252,7 +285,7 @@ class References(FrameObserver):
         return {**self._origin.as_dict(), "bounds": references.bounds(disc), **state}
 
     def health(self) -> dict[str, Any]:
-        """The report for ``health``: how it follows, and how far the latest frames at rest were from where it began."""
+        """How it follows, and how far the latest frames at rest were from where it began."""
         return {
             "state": self._state,
             **reason_fields(self._reason),
@@ -267,13 +300,13 @@ class References(FrameObserver):
         self.calibration = origin.calibration
         self._state, self._reason, self._distance = "waiting", None, None
 
-    def _change_state(self, state: State, reason: Reason | None) -> bool:
-        """Set the state and return whether it changed; new figures in the same reason are no change."""
+    def _change_state(self, state: State, reason: Reason | None) -> None:
+        """Set the state, and publish and log it if it changed; new figures in the same reason are no change."""
         changed = (state, code_of(reason)) != (self._state, code_of(self._reason))
+        self._state, self._reason = state, reason
         if changed:
             _log.info("reference %s%s", state, f": {reason}" if reason else "")
-        self._state, self._reason = state, reason
-        return changed
+            self._changed()
 
 
 def _figures(distance: Distance | None) -> dict[str, float | None]:

@@ -145,16 +145,11 @@ class Playback:
         """Carry out a command and return the resulting status."""
         with self._wake:
             self._start = None
-            if command.paused is not None:
-                self._paused = command.paused
-            if command.step:
-                self._paused = True
-                self._steps += 1
-            if command.back:
-                self._paused = True
-                self._backs += 1
-            if command.speed is not None:
-                self._speed = command.speed
+            paused = self._paused if command.paused is None else command.paused
+            self._paused = paused or command.step or command.back
+            self._steps += command.step
+            self._backs += command.back
+            self._speed = command.speed or self._speed
             if command.seek_s is not None:
                 self._seek_ns = round(command.seek_s * 1e9)
             self._wake.notify_all()
@@ -176,19 +171,9 @@ class Playback:
     def read(self) -> RecordedFrame:
         """Wait for the next frame to show. Raises DecodeError if its image cannot be used, and as `Recording` does."""
         ahead: RecordedFrame | None = None
-        still_paused = False
         while True:
-            if still_paused:
-                self._changed(self.status())
-            with self._wake:
-                target_ns, self._seek_ns = self._seek_ns, None
-                backs, self._backs = self._backs, 0
-            wound = target_ns is not None or backs > 0
-            if target_ns is not None:
-                ahead = self._from(target_ns, ahead)
-            elif backs:
-                ahead = self._before(backs)
-            ahead = ahead or self._recording.read()
+            wound = self._wound
+            ahead = self._jump(ahead) if wound else ahead or self._recording.read()
             if ahead is None:
                 self._end()
                 continue
@@ -199,12 +184,13 @@ class Playback:
                 if self._wound:
                     continue
                 wait_s = 0.0 if wound else self._wait_s(t_ns)
-                if wait_s > 0:
-                    still_paused = not self._wake.wait(min(wait_s, REPORT_PERIOD_S)) and self._paused
-                    continue
-                self._steps = max(self._steps - 1, 0)
-                self._last_ns, self._seq = t_ns, ahead.frame.seq
-            return ahead
+                if wait_s <= 0:
+                    self._steps = max(self._steps - 1, 0)
+                    self._last_ns, self._seq = t_ns, ahead.frame.seq
+                    return ahead
+                still_paused = not self._wake.wait(min(wait_s, REPORT_PERIOD_S)) and self._paused
+            if still_paused:
+                self._changed(self.status())
 
     @property
     def _wound(self) -> bool:
@@ -218,20 +204,20 @@ class Playback:
         self._start = self._start or (now_ns, t_ns)
         return (self._start[0] + (t_ns - self._start[1]) / self._speed - now_ns) / 1e9
 
-    def _from(self, target_ns: int, ahead: RecordedFrame | None) -> RecordedFrame | None:
-        """The first frame at least `target_ns` after the recording's first one."""
-        target_ns += self._first_ns or 0
-        if target_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
-            self._recording = self._reopen()
-        self._recording.skip_to(target_ns)
+    def _jump(self, ahead: RecordedFrame | None) -> RecordedFrame | None:
+        """The frame that was requested: at or after a time, or before the latest one shown, or the first."""
         with self._wake:
             self._start = None
-        return self._recording.read()
-
-    def _before(self, frames: int) -> RecordedFrame | None:
-        """The frame that is this many before the latest one shown, or the first."""
-        self._recording = self._reopen()
-        self._recording.skip_to(self._last_ns, frames=frames)
+            seek_ns, self._seek_ns = self._seek_ns, None
+            backs, self._backs = self._backs, 0
+        if seek_ns is None:
+            self._recording = self._reopen()
+            self._recording.skip_to(self._last_ns, frames=backs)
+            return self._recording.read()
+        seek_ns += self._first_ns or 0
+        if seek_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
+            self._recording = self._reopen()
+        self._recording.skip_to(seek_ns)
         return self._recording.read()
 
     def _end(self) -> None:

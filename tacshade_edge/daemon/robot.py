@@ -7,27 +7,116 @@ lost to it.
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
-from tacshade_edge.daemon.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult
-from tacshade_edge.daemon.serial_line import SILENT_NS, RobotMotion, SerialChannel, SerialCommands, TouchEvents
-from tacshade_edge.daemon.shared_line import FollowingChannel, ForwardingMotion, SharedLine
+import msgspec
+
+from tacshade_edge.daemon.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult, Reply
+from tacshade_edge.daemon.serial_line import (
+    ClockExchanged,
+    Heard,
+    LineState,
+    PortState,
+    PoseHeard,
+    RobotMotion,
+    RobotRestarted,
+    SerialChannel,
+    SerialCommands,
+    TouchEvents,
+)
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Document
 from tacshade_edge.types import Frame, Need
 
 # How long a frame waits for the pose after it: enough if the robot sends ten a second.
 POSE_WAIT_NS = 120_000_000
-_POSES_KEPT: Final = 1024
+SILENT_NS = 3_000_000_000
 LATENCY_MAX_MS = 1
+_POSES_KEPT: Final = 1024
+_BYTES_MAX: Final = 1 << 14
+_READ_S: Final = 0.05
+_LINE_PERIOD_NS: Final = 1_000_000_000
+_decoder: Final = msgspec.msgpack.Decoder(PoseHeard | ClockExchanged | RobotRestarted | LineState)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedLine:
+    """A sensor's part in a shared line: the owner's `ends`, or the socket on which a follower `hears` the owner."""
+
+    owner: str
+    ends: tuple[socket.socket, ...] = ()
+    hears: socket.socket | None = None
+
+    def forward(self, message: Heard | LineState) -> None:
+        payload = msgspec.msgpack.encode(message)
+        for end in self.ends:
+            with contextlib.suppress(OSError):
+                end.send(payload)
+
+
+def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
+    """Each sensor's part in a port that several name; the first of them has the port. Other sensors are left out."""
+    names: dict[str, list[str]] = {}
+    for document in documents:
+        if (serial := document.settings.serial) is not None:
+            names.setdefault(serial.device, []).append(document.settings.sensor_id)
+    shared: dict[str, SharedLine] = {}
+    for owner, *followers in names.values():
+        ends = []
+        for name in followers:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            ours.setblocking(False)
+            ends.append(ours)
+            shared[name] = SharedLine(owner, hears=theirs)
+        if followers:
+            shared[owner] = SharedLine(owner, tuple(ends))
+    return shared
+
+
+class FollowingChannel:
+    """Replaces a `SerialChannel` if another sensor has the port, whose name is in the details of the port's state."""
+
+    def __init__(self, owner: str, hears: socket.socket, motion: RobotMotion) -> None:
+        self._owner = owner
+        self._hears = hears
+        self._motion = motion
+        self._stop = threading.Event()
+        self._line = LineState(PortState("away", Reason(ReasonCode.STARTING, "starting")), "ASCII", 0, {})
+
+    def line(self) -> LineState:
+        """The owner's line, as far as known; for any thread."""
+        port = self._line.port
+        shared = replace(port, details={**port.details, "shared_by": self._owner})
+        return msgspec.structs.replace(self._line, port=shared)
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def run(self) -> None:
+        self._hears.settimeout(_READ_S)
+        heard_ns = time.monotonic_ns()
+        while not self._stop.is_set():
+            try:
+                heard = _decoder.decode(self._hears.recv(_BYTES_MAX))
+            except TimeoutError:
+                if time.monotonic_ns() - heard_ns > SILENT_NS and self._line.port.state == "open":
+                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which owns the port, is sending nothing")
+                    self._line = msgspec.structs.replace(self._line, port=PortState("away", reason))
+                continue
+            if isinstance(heard, LineState):
+                heard_ns, self._line = time.monotonic_ns(), heard
+            else:
+                self._motion.hear(heard)
 
 
 class Robot(FrameObserver):
@@ -39,13 +128,14 @@ class Robot(FrameObserver):
     def __init__(
         self,
         port: SerialPort | None,
-        on_request: Callable[[Request], None],
+        on_request: Callable[[Request, Reply], None],
         state: Callable[[], dict[str, Any]],
         publish_status: Callable[[bytes], None],
         missing: Callable[[], Reason | None],
         shared: SharedLine | None = None,
     ) -> None:
-        self.motion = ForwardingMotion(shared.ends) if shared and shared.ends else RobotMotion()
+        self._shared = shared
+        self.motion = RobotMotion(shared.forward) if shared and shared.ends else RobotMotion()
         wake = port.wake if port else lambda: None
         self._touch = TouchEvents(port.baud if port else 0, wake)
         self.commands = SerialCommands(self.motion, on_request, state, missing, wake, self._touch)
@@ -58,6 +148,8 @@ class Robot(FrameObserver):
             self._channel = FollowingChannel(shared.owner, shared.hears, self.motion)
         self._publish_status = publish_status
         self._published = b""
+        self._forwarded: LineState | None = None
+        self._forwarded_ns = 0
         self._stopped = threading.Event()
         self._with_pose = self._without_pose = 0
         self._first_answer = threading.Lock()
@@ -74,16 +166,17 @@ class Robot(FrameObserver):
         self._thread.join(timeout_s)
 
     def poll(self) -> None:
-        port, sync = self._channel.port_state, self.motion.state()
-        if isinstance(self.motion, ForwardingMotion):
-            quiet_since_ns, counts = self._channel.quiet_since_ns, self._channel.as_dict()
-            self.motion.forward_port(port, self._channel.mode, quiet_since_ns, counts)
+        """Publish ``status/serial`` if it has changed, and forward the line's state to those who share it."""
+        line, sync, now_ns = self._channel.line(), self.motion.state(), time.monotonic_ns()
+        if self._shared and self._shared.ends:
+            self._forward(self._shared, line, now_ns)
+        port = line.port
         if port.state == "away":
             state, reason, details = "away", port.reason, port.details
         else:
-            silent = time.monotonic_ns() - self._channel.quiet_since_ns > SILENT_NS
+            silent = now_ns - line.quiet_since_ns > SILENT_NS
             state, reason = "silent" if silent else "connected", sync.reason
-            details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
+            details = {**port.details, "mode": line.mode, "sync": sync.mode}
             if silent:
                 reason = Reason(ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s")
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
@@ -94,9 +187,17 @@ class Robot(FrameObserver):
             self._published = status
             self._publish_status(status)
 
+    def _forward(self, shared: SharedLine, line: LineState, now_ns: int) -> None:
+        """Forward a change of the line at once, and its counts once a second."""
+        before = self._forwarded
+        changed = before is None or (line.port, line.mode) != (before.port, before.mode)
+        if changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS:
+            self._forwarded, self._forwarded_ns = line, now_ns
+            shared.forward(line)
+
     def health(self) -> dict[str, Any]:
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
-        return {**self._channel.as_dict(), **self.motion.as_dict(), **frames, **self._touch.as_dict()}
+        return {**self._channel.line().counts, **self.motion.as_dict(), **frames, **self._touch.as_dict()}
 
     def need(self) -> Need:
         """Depth while a capture waits, and touches while the robot has switched them on."""
@@ -107,9 +208,6 @@ class Robot(FrameObserver):
         if seen.reconstruction is not None:
             self.commands.observe(seen.frame, seen.reconstruction)
             self._touch.observe(seen.reconstruction)
-
-    def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
         """Wait for the pose after the frame, and add the pose interpolated between it and the one before, if known. The

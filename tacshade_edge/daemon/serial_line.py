@@ -5,27 +5,20 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, Protocol
 
+import msgspec
+
 from tacshade_edge.core.stitching.press_points import PoseBuffer
-from tacshade_edge.daemon.observer import FrameWaiters
+from tacshade_edge.daemon.observer import FrameWaiters, Reply
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import (
-    ClockRead,
-    FrameCaptured,
-    LineStatus,
-    ReferenceTaken,
-    RequestResult,
-    SerialResult,
-    SessionResult,
-    TouchSwitched,
-)
+from tacshade_edge.protocol.results import ClockRead, FrameCaptured, LineStatus, SerialResult, TouchSwitched
 from tacshade_edge.protocol.serial.clock_sync import ClockSync, SyncState
 from tacshade_edge.protocol.serial.commands import (
     Command,
@@ -38,8 +31,32 @@ from tacshade_edge.protocol.serial.commands import (
 from tacshade_edge.protocol.serial.framing import Mode
 from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
 from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
+from tacshade_edge.protocol.serial.pose import PoseSample
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Pose, Reconstruction
+
+
+class PoseHeard(msgspec.Struct, frozen=True, tag=1, array_like=True):
+    """A pose from the robot, and when it arrived."""
+
+    sample: PoseSample
+    arrived_ns: int
+
+
+class ClockExchanged(msgspec.Struct, frozen=True, tag=2, array_like=True):
+    """A ``SYNC`` and its reply: when the robot sent it, it arrived, the reply and the previous reply arrived."""
+
+    t1_ns: int
+    t2_ns: int
+    t3_ns: int
+    t4_ns: int | None
+
+
+class RobotRestarted(msgspec.Struct, frozen=True, tag=3, array_like=True):
+    """The robot sent its greeting, so it has another clock."""
+
+
+Heard = PoseHeard | ClockExchanged | RobotRestarted
 
 
 class RobotMotion:
@@ -47,34 +64,28 @@ class RobotMotion:
     thread may use it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, forward: Callable[[Heard], None] = lambda heard: None) -> None:
+        self._forward = forward
         self._lock = threading.Lock()
         self._sync = ClockSync()
         self._poses = PoseBuffer()
         self._restarts = 0
 
-    def restart(self) -> None:
-        """Start over with another clock: the robot sent its greeting."""
+    def hear(self, heard: Heard) -> None:
         with self._lock:
-            self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
-            self._forget_old()
-
-    def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        with self._lock:
-            self._sync.sync_received(t1_ns, t2_ns, t4_ns)
-            self._forget_old()
-
-    def sync_answered(self, t3_ns: int) -> None:
-        """Take the time at which the reply to the ``SYNC`` was given to the port."""
-        with self._lock:
-            self._sync.sync_answered(t3_ns)
-
-    def add(self, arrived: PoseArrived) -> None:
-        sample = arrived.sample
-        with self._lock:
-            self._sync.stamp_received(sample.t_ns, arrived.arrived_ns)
-            self._forget_old()
-            self._poses.add(Pose(sample.t_ns, *sample.values))
+            if isinstance(heard, PoseHeard):
+                self._sync.stamp_received(heard.sample.t_ns, heard.arrived_ns)
+            elif isinstance(heard, ClockExchanged):
+                self._sync.sync_received(heard.t1_ns, heard.t2_ns, heard.t4_ns)
+                self._sync.sync_answered(heard.t3_ns)
+            else:
+                self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
+            if self._restarts != self._sync.counts.restarts:  # the poses are of an earlier clock
+                self._restarts = self._sync.counts.restarts
+                self._poses.clear()
+            if isinstance(heard, PoseHeard):
+                self._poses.add(Pose(heard.sample.t_ns, *heard.sample.values))
+        self._forward(heard)
 
     def at(self, t_ns: int) -> tuple[Pose, int] | None:
         """``base_T_flange`` at a time of CLOCK_MONOTONIC, and its greatest time error in µs; None if unknown."""
@@ -104,12 +115,6 @@ class RobotMotion:
                 "poses_late": late,
             }
 
-    def _forget_old(self) -> None:
-        """Drop the poses of an earlier clock."""
-        if self._restarts != self._sync.counts.restarts:
-            self._restarts = self._sync.counts.restarts
-            self._poses.clear()
-
 
 _JITTER = 0.25  # of a period: a frame that is this much early counts as on time
 
@@ -132,7 +137,7 @@ class TouchEvents:
         return self._asked is not None
 
     def switch(self, asked: TouchAsked | None) -> TouchSwitched | Reason:
-        """Start what was requested, or stop; if the line is too slow, return the reason and change nothing."""
+        """Start what was requested, or stop; if the line is too slow, change nothing."""
         if asked is not None and (reason := too_slow(asked, self._baud)) is not None:
             return reason
         with self._lock:
@@ -144,15 +149,13 @@ class TouchEvents:
         if self._asked is None or not result.valid:
             return
         with self._lock:
-            seen = self._due(self._asked, result)
-            if seen is None:
+            if (seen := self._due(self._asked, result)) is None:
                 return
             self._dropped += self._waiting is not None
             self._waiting = seen
         self._wake()
 
     def take(self) -> TouchSeen | None:
-        """Take the event that waits; None if there is none."""
         with self._lock:
             seen, self._waiting = self._waiting, None
             self._events += seen is not None
@@ -182,58 +185,40 @@ class TouchEvents:
 class Sessions(Protocol):
     """Stitching sessions, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
 
-    def submit(self, action: str, name: str, reply: Callable[[SessionResult | Reason], None]) -> None:
-        """Do ``BEGIN`` ... without waiting; `reply` is called once, from any thread."""
-        ...
+    def submit(self, action: str, name: str, reply: Reply) -> None: ...
 
 
+@dataclass(slots=True, eq=False)
 class SerialCommands:
-    """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them.
+    """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them."""
 
-    `complete` receives the outcome of what `on_request` passed on; `wake` is called when an answer waits to be sent.
-    """
-
-    def __init__(
-        self,
-        motion: RobotMotion,
-        on_request: Callable[[Request], None],
-        state: Callable[[], dict[str, Any]],
-        missing: Callable[[], Reason | None],
-        wake: Callable[[], None],
-        touch: TouchEvents,
-    ) -> None:
-        self.sessions: Sessions | None = None
-        self.touch = touch
-        self._motion = motion
-        self._on_request = on_request
-        self._state = state
-        self._missing = missing
-        self._wake = wake
-        self._answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = SimpleQueue()
-        self._captures: FrameWaiters[Callable[[FrameCaptured | Reason], None]]
-        self._captures = FrameWaiters("captures are already waiting")
-        self._requests: dict[int, tuple[Request, Command]] = {}  # by the request's id
+    motion: RobotMotion
+    on_request: Callable[[Request, Reply], None]  # starts what the main thread does
+    state: Callable[[], dict[str, Any]]
+    missing: Callable[[], Reason | None]
+    wake: Callable[[], None]  # called when an answer waits to be sent
+    touch: TouchEvents
+    sessions: Sessions | None = None
+    _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(default_factory=SimpleQueue)
+    _captures: FrameWaiters = field(default_factory=partial(FrameWaiters, "captures are already waiting"))
 
     def handle(self, command: Command, link: SerialLink) -> None:
         """Start a command; called in the serial thread."""
         if command.verb == "SYNC":
             t1_ns, *rest = map(int, command.args)
-            self._motion.sync_received(t1_ns, command.arrived_ns, rest[0] if rest else None)
             t3_ns = time.monotonic_ns()
             link.answer(command, ClockRead(command.arrived_ns, t3_ns))
-            self._motion.sync_answered(t3_ns)
+            self.motion.hear(ClockExchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None))
         elif command.verb == "STATUS":
             link.answer(command, self._status(link))
-        elif (missing := self._missing()) is not None:
+        elif (missing := self.missing()) is not None:
             link.answer(command, missing)
         elif command.verb == "TOUCH":
             link.answer(command, self.touch.switch(parse_touch(command.args)))
         elif command.verb == "CAPTURE":
             self._captures.put(command.arrived_ns, partial(self._answer, command))
         elif command.verb == "REFERENCE":
-            request = Request("reference")
-            self._requests[id(request)] = request, command
-            self._on_request(request)
+            self.on_request(Request("reference"), partial(self._answer, command))
         elif self.sessions is None:
             link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch"))
         else:
@@ -259,22 +244,12 @@ class SerialCommands:
         for answer in self._captures.take(frame.t_ns):
             answer(_captured(frame, result))
 
-    def complete(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
-        """Take the main thread's outcome of a request; True if the robot made the request."""
-        _, command = self._requests.pop(id(request), (None, None))
-        if command is None:
-            return False
-        if not isinstance(outcome, ReferenceTaken | Reason):
-            raise TypeError(f"found {type(outcome).__name__} as the outcome of a reference")
-        self._answer(command, outcome)
-        return True
-
     def _answer(self, command: Command, outcome: SerialResult | Reason) -> None:
         self._answers.put((command, outcome))
-        self._wake()
+        self.wake()
 
     def _status(self, link: SerialLink) -> LineStatus:
-        state, sync, counts = self._state(), self._motion.state(), link.counts
+        state, sync, counts = self.state(), self.motion.state(), link.counts
         return LineStatus(
             camera=state["source"],
             fps=state["health"].get("delivered_fps", 0),
@@ -305,7 +280,6 @@ def _captured(frame: Frame, result: Reconstruction) -> FrameCaptured | Reason:
 _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
-SILENT_NS = 3_000_000_000
 GAP_PERIOD_NS, GAP_LOG_PERIOD_NS = 1_000_000_000, 60_000_000_000
 NOT_READING_PAUSE_S = 1.0  # a robot that does not read gets nothing for this long
 
@@ -317,15 +291,21 @@ class PortState:
     details: dict[str, str | int | float] = field(default_factory=dict)
 
 
-class SerialChannel:
-    """One robot's line: opens the port, reopens it when lost, and carries bytes between it and the link.
+class LineState(msgspec.Struct, frozen=True, tag=4, array_like=True):
+    """A line's port, and since when it is quiet: since the latest byte, or since the port was opened."""
 
-    Any thread may read `port_state` and `quiet_since_ns`, when the latest byte came or the port was opened.
-    """
+    port: PortState
+    mode: Mode
+    quiet_since_ns: int
+    counts: dict[str, Any]
+
+
+class SerialChannel:
+    """One robot's line: opens the port, reopens it when lost, and carries bytes between it and the link."""
 
     def __init__(self, port: SerialPort, motion: RobotMotion, commands: SerialCommands) -> None:
-        self.port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"))
-        self.quiet_since_ns = 0
+        self._port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"))
+        self._quiet_since_ns = 0
         self._port = port
         self._link = SerialLink()
         self._motion = motion
@@ -339,9 +319,15 @@ class SerialChannel:
         self._missing, self._gap_sent_ns, self._gap_logged_ns = 0, 0, 0
         self._sent_sync = "none"
 
-    @property
-    def mode(self) -> Mode:
-        return self._link.mode
+    def line(self) -> LineState:
+        """The line now; for any thread."""
+        counts = {
+            **self._link.counts.as_dict(),
+            "reopened": max(0, self._opened - 1),
+            "away_ms": self._away_ms,
+            "unsent_bytes": self._unsent_bytes,
+        }
+        return LineState(self._port_state, self._link.mode, self._quiet_since_ns, counts)
 
     def stop(self) -> None:
         self._stop.set()
@@ -367,21 +353,13 @@ class SerialChannel:
             self._stop.wait(retry_s)
             retry_s = min(2 * retry_s, LONGEST_RETRY_S)
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            **self._link.counts.as_dict(),
-            "reopened": max(0, self._opened - 1),
-            "away_ms": self._away_ms,
-            "unsent_bytes": self._unsent_bytes,
-        }
-
     def _on_open(self) -> None:
         """Report to the robot how long the port was away: a session outlives its port."""
         self._opened += 1
-        self.quiet_since_ns = time.monotonic_ns()
+        self._quiet_since_ns = time.monotonic_ns()
         away_ms = 0
         if self._lost_ns is not None:
-            away_ms = (self.quiet_since_ns - self._lost_ns) // 1_000_000
+            away_ms = (self._quiet_since_ns - self._lost_ns) // 1_000_000
             self._away_ms += away_ms
             self._lost_ns = None
         self._set_state(PortState("open", None, self._port.describe()))
@@ -392,14 +370,14 @@ class SerialChannel:
         data = self._port.read()
         now_ns = time.monotonic_ns()
         if data:
-            self.quiet_since_ns = now_ns
+            self._quiet_since_ns = now_ns
         for received in self._link.receive(data, now_ns):
             if isinstance(received, PoseArrived):
                 self._missing += received.missing
-                self._motion.add(received)
+                self._motion.hear(PoseHeard(received.sample, received.arrived_ns))
             elif isinstance(received, Greeted):
                 _log.info("the robot sent a greeting%s", f", boot {received.boot}" if received.boot else "")
-                self._motion.restart()
+                self._motion.hear(RobotRestarted())
                 self._commands.touch.switch(None)
             else:
                 self._commands.handle(received, self._link)
@@ -441,6 +419,6 @@ class SerialChannel:
             self._write_after_s = time.monotonic() + NOT_READING_PAUSE_S
 
     def _set_state(self, state: PortState) -> None:
-        if state != self.port_state:
-            self.port_state = state
+        if state != self._port_state:
+            self._port_state = state
             _log.info("serial %s%s", state.state, f": {state.reason}" if state.reason else "")

@@ -16,7 +16,7 @@ from tacshade_edge.core.stitching.stitcher import Raster, Stitcher
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
-from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionEnded, SessionStatus
+from tacshade_edge.protocol.results import PressAdded, SessionEnded, SessionStatus
 from tacshade_edge.protocol.topics import StitchedMap
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.quoting import quoted
@@ -64,6 +64,7 @@ class MapPublisher:
         raster = revision.raster()
         points, spacing_mm = thinned_points(raster)
         known = raster.z_mm[np.isfinite(raster.z_mm)]
+        length_mm, width_mm = (size * raster.step_mm for size in raster.z_mm.shape)
         about = StitchedMap(
             name=revision.name,
             revision=revision.revision,
@@ -71,8 +72,8 @@ class MapPublisher:
             used=revision.used,
             x0_mm=raster.x0_mm,
             y0_mm=raster.y0_mm,
-            width_mm=raster.z_mm.shape[1] * raster.step_mm,
-            length_mm=raster.z_mm.shape[0] * raster.step_mm,
+            width_mm=width_mm,
+            length_mm=length_mm,
             z_min_mm=float(known.min()) if known.size else None,
             z_max_mm=float(known.max()) if known.size else None,
             area_mm2=known.size * raster.step_mm**2,
@@ -80,13 +81,8 @@ class MapPublisher:
             spacing_mm=spacing_mm,
             folder=revision.folder,
         )
-        cloud = encode_map_cloud(
-            points,
-            revision=revision.revision,
-            calibration_crc32=revision.calibration_crc32,
-            t_ns=time.monotonic_ns(),
-            wall_ns=time.time_ns(),
-        )
+        numbers = {"revision": revision.revision, "calibration_crc32": revision.calibration_crc32}
+        cloud = encode_map_cloud(points, **numbers, t_ns=time.monotonic_ns(), wall_ns=time.time_ns())
         self._publish("map/cloud", cloud)
         self._publish("map/final" if revision.folder else "map/revision", encode_json(about))
         return False
@@ -106,7 +102,7 @@ class Session:
     """An open session, for one thread at a time; its stitcher has the presses of its file."""
 
     def __init__(self, file: StitchFile, stitcher: Stitcher) -> None:
-        self._file = file
+        self.file = file
         self._stitcher = stitcher
         self.revision = stitcher.presses
         self.name, self.folder = file.info.name, file.folder
@@ -139,10 +135,6 @@ class Session:
         return cls(file, stitcher)
 
     @property
-    def gone(self) -> bool:
-        return self._file.gone
-
-    @property
     def presses(self) -> int:
         return self._stitcher.presses
 
@@ -158,23 +150,23 @@ class Session:
     def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
         """Add a press; it is on the disk when this returns. Raises DeviceError (MAP_FULL if it has no room)."""
         # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
-        self._file.append(points, base_T_sensor)
+        self.file.append(points, base_T_sensor)
         try:
             self._stitcher.add(points, base_T_sensor)
         except ValueError as error:
-            self._file.take_back()
+            self.file.take_back()
             raise DeviceError(str(error), code=ReasonCode.MAP_FULL) from None
         self.revision += 1
         return PressAdded(self.presses, frame_seq, len(points.points_mm))
 
     def map_revision(self) -> MapRevision:
-        crc32, raster = self._file.info.calibration_crc32, self._stitcher.map.raster
+        crc32, raster = self.file.info.calibration_crc32, self._stitcher.map.raster
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
     def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
         """Make the final map and write its files, which takes seconds. Raises DeviceError: it is still open."""
         final = self._stitcher.finish()
-        raster, crc32 = final.raster, self._file.info.calibration_crc32
+        raster, crc32 = final.raster, self.file.info.calibration_crc32
         used = sum(press.rejected is None for press in final.presses)
         self.revision += 1
         details = {
@@ -188,17 +180,9 @@ class Session:
             "presses": [{"press": k, **press_record(press)} for k, press in enumerate(final.presses, start=1)],
         }
         write_map(self.folder, raster, details)
-        self._file.end()
+        self.file.end()
         area_mm2 = float(np.count_nonzero(np.isfinite(raster.z_mm))) * raster.step_mm**2
         return (
             SessionEnded(self.name, self.presses, used, final.refined, final.disagreement_mm, area_mm2),
             MapRevision(self.name, self.revision, self.presses, used, crc32, str(self.folder), lambda: raster),
         )
-
-    def abort(self) -> SessionAborted:
-        """Delete the session. Raises DeviceError."""
-        self._file.remove()
-        return SessionAborted(self.name, self.presses)
-
-    def close(self) -> None:
-        self._file.close()

@@ -1,10 +1,9 @@
-"""Several sensors on one machine: one process for each, forked from this one, which restarts those that end.
+"""Several sensors on one machine: one process for each, and for their hand, forked from this one, which restarts those
+that end.
 
-If they are the fingers of a hand, the hand has a process too (`daemon.hand.process`).
-
-Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md),
-and no failure of one, however bad, reaches another. This process has no thread and does nothing with frames. It is its
-sensors' service manager and speaks to the real one for all of them: each gets a ``NOTIFY_SOCKET`` of ours.
+Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md).
+This process has no thread. It is its sensors' service manager and speaks to the real one for all of them: each gets a
+``NOTIFY_SOCKET`` of ours.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.daemon.systemd import STOP_USEC, notify, notify_reloading, notify_stopping
@@ -46,24 +45,19 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """A sensor or the hand, and its process.
-
-    It is `ready` once it has come up, or ended, since the supervisor started. `heard_s` is when it last reported that
-    it works, None if it is not watched; `again_s` when to start it again, None for not at all; `wait_s` the wait before
-    its latest start, if that followed an end.
-    """
+    """A sensor or the hand, and its process."""
 
     of: Document | Hand
     notices: socket.socket
     pid: int = 0
-    ready: bool = False
-    heard_s: float | None = None
-    again_s: float | None = None
+    ready: bool = False  # it has come up, or ended, since the supervisor started
+    heard_s: float | None = None  # when it last reported that it works; None if it is not watched
+    again_s: float | None = 0.0  # when to start it again; None: not at all
     aborted_s: float | None = None
     began_s: float = 0.0
-    wait_s: float = 0.0
+    wait_s: float = 0.0  # before its latest start, if that followed an end
     status: str = "starting"
-    code: int = field(default=0)
+    code: int = 0
 
     @property
     def name(self) -> str:
@@ -83,56 +77,46 @@ class Supervisor:
         self._parts = [*self._sensors, *([_Part(hand, _notice_socket())] if hand else [])]
         for part in self._parts:
             self._selector.register(part.notices, selectors.EVENT_READ, part)
+        self._closing = contextlib.ExitStack()
         self._reported_ready = False
         self._note = ""
         self._stopping_s: float | None = None
 
     def run(self, work: Callable[[Document | Hand], int]) -> int:
-        """Run the processes until a signal ends all, or no sensor is left to restart; return the exit code.
-
-        In a sensor's process, and in the hand's, that is the code of `work`, which is called there; in this process it
-        is 78 if no sensor's settings can work, else 0.
+        """Run the processes until a signal ends all, or no sensor is left to restart; return the exit code: in a
+        process that it starts that of `work`, which is called there; in this one 78 if no sensor's settings can work,
+        else 0.
         """
         reader, writer = socket.socketpair()
         reader.setblocking(False)
         writer.setblocking(False)
-        numbers = [number for number in _SIGNALS if number is not signal.SIGHUP or not os.isatty(0)]
-        previous = {number: signal.signal(number, lambda *_: None) for number in numbers}
-        wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         self._selector.register(reader, selectors.EVENT_READ)
-        for part in self._sensors:
-            if isinstance(part.of, Document):  # here, so that the processes share its memory
-                preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
-        "localhost".encode("idna")  # the codec that a broker's name needs; 2 MB with its tables
-        installed_version()
-        gc.collect()
-        gc.freeze()  # else the collector writes to every page and so copies it
-
-        def let_go() -> None:
-            signal.set_wakeup_fd(wakeup)
-            for number, handler in previous.items():
-                signal.signal(number, handler)
-            self._selector.close()
+        with self._closing as closing:
             for end in (reader, writer, *(part.notices for part in self._parts)):
-                end.close()
-
-        try:
-            mine = self._supervise(reader, let_go)
-        finally:
-            if self._selector.get_map() is not None:
-                let_go()
+                closing.callback(end.close)
+            closing.callback(self._selector.close)
+            for number in _SIGNALS:
+                if number is not signal.SIGHUP or not os.isatty(0):
+                    closing.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+            wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+            closing.callback(signal.set_wakeup_fd, wakeup)
+            for part in self._sensors:
+                if isinstance(part.of, Document):  # here, so that the processes share its memory
+                    preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
+            "localhost".encode("idna")  # the codec that a broker's name needs; 2 MB with its tables
+            installed_version()
+            gc.collect()
+            gc.freeze()  # else the collector writes to every page and so copies it
+            mine = self._supervise(reader)
         return self._code() if mine is None else work(mine)
 
-    def _supervise(self, signals: socket.socket, let_go: Callable[[], None]) -> Document | Hand | None:
+    def _supervise(self, signals: socket.socket) -> Document | Hand | None:
         """Supervise until all is over (None); in a process that it starts, return what that process is to do."""
-        for part in self._parts:
-            part.again_s = 0.0
         next_tick_s = 0.0
         while True:
             now_s = time.monotonic()
             for part in self._parts:
-                is_due = part.again_s is not None and now_s >= part.again_s
-                if is_due and not self._start(part, let_go):
+                if part.again_s is not None and now_s >= part.again_s and not self._start(part):
                     return part.of
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
@@ -149,7 +133,7 @@ class Supervisor:
                     self._handle(set(signals.recv(4096)))
             self._reap()
 
-    def _start(self, part: _Part, let_go: Callable[[], None]) -> bool:
+    def _start(self, part: _Part) -> bool:
         """Fork; return True in this process."""
         part.again_s = part.heard_s = part.aborted_s = None
         part.status, part.began_s = "starting", time.monotonic()
@@ -166,7 +150,7 @@ class Supervisor:
             # Its own group: if this process is killed, the kernel wakes a stopped group that it leaves behind.
             os.setpgid(0, 0)
             os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
-            let_go()
+            self._closing.close()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

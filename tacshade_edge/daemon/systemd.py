@@ -1,7 +1,4 @@
-"""Messages to the service manager; without one, nothing happens here.
-
-sd_notify(3) defines the messages and their transport; docs/how-to/service.md lists when each is sent.
-"""
+"""Messages to the service manager (sd_notify(3), docs/how-to/service.md); without one, nothing happens here."""
 
 from __future__ import annotations
 
@@ -33,10 +30,7 @@ class Service:
         self._note: Reason | None = None
 
     def tick(self, source: SourceState, fps: float) -> None:
-        """Report the published state and the rate of delivered frames; feed the watchdog if there was progress.
-
-        Call it at least twice per ``WatchdogSec``.
-        """
+        """Report the published state and the rate of delivered frames; feed the watchdog if there was progress."""
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""
         notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
@@ -50,8 +44,7 @@ class Service:
 
     def _progressed(self, degraded: bool) -> bool:
         """Whether, since the last call, stages of frames have ended; if `degraded`, also attempts to get frames.
-
-        Attempts do not count while a frame hangs. `degraded`: the daemon has published that no usable frames come.
+        Attempts do not count while a frame hangs.
         """
         # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
         processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,8 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.protocol.topics import Finger, HandObjects
 from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.settings import Settings
-from tacshade_edge.settings.load import read_struct
+from tacshade_edge.settings import Settings, strict_yaml
+from tacshade_edge.settings.load import convert
 from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
@@ -28,26 +27,16 @@ _log = logging.getLogger(__name__)
 
 
 def recorded_settings(content: dict[str, bytes]) -> Settings | None:
-    """The settings of the sensor that a recording was made with; None if it has none.
-
-    Raises ConfigError if they are of another version of this program.
-    """
+    """The settings of the sensor that a recording was made with; None if it has none. Raises ConfigError."""
     if SETTINGS_NAME not in content:
         return None
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / SETTINGS_NAME
-        path.write_bytes(content[SETTINGS_NAME])
-        # Not `load`, which refuses a hand's finger without its hand.
-        return read_struct(path, Settings)[0]
+    # Not `load`, which refuses a hand's finger without its hand.
+    return convert(strict_yaml.parse(Path(SETTINGS_NAME), content[SETTINGS_NAME]), Settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandRecording:
-    """Several recordings of a hand: its fingers in their order, and its messages, each made when the caller requests
-    it.
-
-    `unread` gets a line for each image that cannot be read, as the log does.
-    """
+    """Several recordings of a hand; `unread` gets a line for each image that cannot be read, as the log does."""
 
     hand_id: str
     fingers: tuple[str, ...]
@@ -79,10 +68,8 @@ class _Recorded:
 
 
 def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
-    """Read recordings of several fingers, made at the same time on one board.
-
-    Each needs its own calibration and the settings of a hand's finger. The log reports damaged and cut-off recordings.
-    Raises ConfigError if a recording lacks these, two are of one sensor, or they are of several hands.
+    """Read recordings of several fingers of one hand, made at the same time. Raises ConfigError if a recording lacks
+    its calibration or a finger's settings.
     """
     fingers: dict[str, _Recorded] = {}
     hands, unread = set[str](), list[str]()
@@ -100,9 +87,8 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
             named = ", ".join(sorted(hands))
             raise ConfigError(f"{path}: found recordings of the hands {named}, expected recordings of one hand")
         if settings.sensor_id in fingers:
-            raise ConfigError(
-                f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"
-            )
+            text = f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"
+            raise ConfigError(text)
         if (calibration := calibrations.of_recording(path)) is None:
             raise ConfigError(f"{path}: found no {CALIBRATION_NAME}, expected one in each recording")
         recording = Recording(path)

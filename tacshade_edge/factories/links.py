@@ -53,35 +53,20 @@ def check_broker_files(document: Document) -> None:
 
 
 def make_link(
-    document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
+    of: Document | Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
 ) -> MqttLink:
-    """Make the link to the broker that the settings name, without starting it. Raises ConfigError."""
-    sensor_id = document.settings.sensor_id
-    return _link(document, f"tacshade/{sensor_id}", f"tacshade-{sensor_id}", on_request, on_outcome)
-
-
-def make_hand_link(
-    hand: Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
-) -> MqttLink:
-    """Make the link for the hand's own topics, without starting it; no sensor can have its client id. Raises
+    """Make the link of a sensor, or of a hand, to the broker that the settings name, without starting it. Raises
     ConfigError.
     """
-    hand_id = hand.hand_id
-    return _link(hand.common, f"tacshade/hand/{hand_id}", f"tacshade-hand.{hand_id}", on_request, on_outcome)
-
-
-def _link(
-    document: Document,
-    base_topic: str,
-    client_id: str,
-    on_request: Callable[[Request], None],
-    on_outcome: Callable[[str, int, PayloadOutcome], None],
-) -> MqttLink:
+    if isinstance(of, Hand):
+        document, topic, client = of.common, f"hand/{of.hand_id}", f"hand.{of.hand_id}"
+    else:
+        document, topic, client = of, of.settings.sensor_id, of.settings.sensor_id
     try:
         return MqttLink(
             **broker_address(document),
-            base_topic=base_topic,
-            client_id=client_id,
+            base_topic=f"tacshade/{topic}",
+            client_id=f"tacshade-{client}",
             on_request=on_request,
             on_outcome=on_outcome,
         )

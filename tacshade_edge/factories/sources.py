@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -20,46 +19,26 @@ if TYPE_CHECKING:
     from tacshade_edge.devices.serial.port import SerialPort
 
 
-def _v4l2(source: V4l2) -> FrameSource:
-    from tacshade_edge.devices.camera.v4l2 import V4l2Source
-
-    return V4l2Source(**msgspec.structs.asdict(source))
-
-
-def _rpicam(source: Rpicam) -> FrameSource:
-    from tacshade_edge.devices.camera.rpicam import RpicamSource
-
-    return RpicamSource(**msgspec.structs.asdict(source))
-
-
-def _files(source: Files) -> FrameSource:
-    from tacshade_edge.storage.recording.image_source import FilesSource
-
-    return FilesSource(path=Path(source.path), fps=source.fps, loop=source.loop)
-
-
-def _simulated(source: Simulated) -> FrameSource:
-    from tacshade_edge.devices.camera.simulated import SimulatedSource
-
-    if source.pressed is None:
-        return SimulatedSource(fps=source.fps)
-    from tacshade_edge.storage.tables.pressed_file import PressedFile
-
-    return SimulatedSource(fps=source.fps, script=PressedFile(Path(source.pressed)))
-
-
-# The modules are imported on demand: a camera needs no simulator.
-SOURCES: dict[type, Callable[[Any], FrameSource]] = {
-    V4l2: _v4l2,
-    Rpicam: _rpicam,
-    Files: _files,
-    Simulated: _simulated,
-}
-
-
 def make_source(source: Source) -> FrameSource:
-    """Make the frame source that the settings name, without opening it."""
-    return SOURCES[type(source)](source)
+    """Make the frame source that the settings name, without opening it. A camera needs no simulator's modules."""
+    match source:
+        case V4l2():
+            from tacshade_edge.devices.camera.v4l2 import V4l2Source
+
+            return V4l2Source(**msgspec.structs.asdict(source))
+        case Rpicam():
+            from tacshade_edge.devices.camera.rpicam import RpicamSource
+
+            return RpicamSource(**msgspec.structs.asdict(source))
+        case Files(path=path, fps=fps, loop=loop):
+            from tacshade_edge.storage.recording.image_source import FilesSource
+
+            return FilesSource(path=Path(path), fps=fps, loop=loop)
+        case Simulated(fps=fps, pressed=pressed):
+            from tacshade_edge.devices.camera.simulated import SimulatedSource
+            from tacshade_edge.storage.tables.pressed_file import PressedFile
+
+            return SimulatedSource(fps=fps, script=PressedFile(Path(pressed)) if pressed else None)
 
 
 def frames_have_poses(settings: Settings) -> bool:

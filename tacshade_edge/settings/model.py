@@ -85,8 +85,7 @@ OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 """Keys that sensors cannot share."""
 HAND, FINGER = "hand_id", "hand_T_sensor"
 """The keys of a hand and of each of its sensors; not allowed in a file with one sensor."""
-RENAMED = {"displacement": "shear", "before_s": "pre_roll_s"}
-"""Old names of settings to new ones; an old name is refused, and the message names the new one."""
+_PROFILES = [*PROFILES, AUTO]
 _ID = "^[A-Za-z0-9_-]{1,64}$"
 _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # the topics of hands begin with tacshade/hand
 
@@ -140,9 +139,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
         "/var/lib/tacshade-edge/calibration.npz"
     )
-    profile: Annotated[
-        str, Meta(description="speed against accuracy", extra_json_schema={"enum": [*PROFILES, AUTO]})
-    ] = DEFAULT
+    profile: Annotated[str, Meta(pattern=f"^({'|'.join(_PROFILES)})$", extra_json_schema={"enum": _PROFILES})] = DEFAULT
     latency_budget_ms: (
         Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
     ) = None

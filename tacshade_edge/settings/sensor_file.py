@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -56,26 +56,20 @@ def check_value(key: str, text: str) -> float | str:
     """Check and return the value that a person typed for a key of SENSOR.yaml. Raises ConfigError."""
     kinds = {field.name: field.type for field in msgspec.structs.fields(SensorFile)}
     try:
-        value = float(text)
-    except ValueError:
-        return _converted(key, text, text, kinds[key])
-    return _converted(key, text, int(value) if value.is_integer() else value, kinds[key])
-
-
-def _converted(key: str, text: str, value: float | str, kind: Any) -> float | str:
-    try:
-        msgspec.convert(value, kind)
+        value: float | str = msgspec.convert(text, kinds[key], strict=False)
+        if value == value:  # not NaN
+            return value
     except msgspec.ValidationError:
-        properties = schema_of(SensorFile)["properties"]
-        raise ConfigError(f"{key}: found {text or 'nothing'}, expected {expectation(properties[key])}") from None
-    return value
+        pass
+    expected = expectation(schema_of(SensorFile)["properties"][key])
+    raise ConfigError(f"{key}: found {text or 'nothing'}, expected {expected}")
 
 
 def read_sensor(path: Path) -> Sensor:
     """Read SENSOR.yaml. Raises ConfigError."""
-    given, found = read_struct(path, SensorFile)
+    given, file = read_struct(path, SensorFile)
     if problem := wrong_with(given.flange_T_sensor):
-        raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
+        raise file.error(("flange_T_sensor",), problem)
     circle = given.visible_circle
     disc = None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px)
     sizes = {} if given.print is None else msgspec.structs.asdict(given.print)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,87 +32,44 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Mistake:
-    """A mistake in the value of a key, ``FILE:LINE: path.to.key: found …``; the line is None if the key is missing."""
+class YamlFile:
+    """A file's value, and the place of each key in it: list indices are keys too, and the whole value is ``()``."""
 
-    key: Key
-    text: str
-    line: int | None
+    path: Path
+    value: Any
+    found: dict[Key, Found]
 
+    def where(self, key: Key) -> str:
+        """``FILE:LINE: path.to.key`` (without a line if the file does not have the key)."""
+        if key in self.found:
+            return f"{self.path}:{self.found[key].line}: {dotted((*self.found[key].at, *key))}"
+        return f"{self.path}: {dotted((*self.found[()].at, *key) if () in self.found else key)}"
 
-def refuse(mistakes: Sequence[Mistake]) -> None:
-    """Raise ConfigError if there are mistakes, with all of them in the order of their lines, missing keys last."""
-    if mistakes:
-        texts = [m.text for m in sorted(mistakes, key=lambda m: (m.line is None, m.line))]
-        raise ConfigError(texts[0], others=texts[1:])
-
-
-class _WrongError(Exception):
-    """Abandons a value after its mistake was recorded."""
+    def error(self, key: Key, problem: str) -> ConfigError:
+        return ConfigError(f"{self.where(key)}: {problem}")
 
 
 class _Loader(yaml.SafeLoader):
-    values = 0
+    """Converts nodes to values and records each one's place."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        super().__init__(text)
+        self.path = path
+        self.values = 0
+        self.found: dict[Key, Found] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            raise yaml.MarkedYAMLError(
-                problem="an anchor or alias, expected a plain value", problem_mark=event.start_mark
-            )
         self.values += 1
-        if self.values > _VALUES_MAX:
-            raise yaml.MarkedYAMLError(
-                problem=f"more than {_VALUES_MAX} values, expected a settings file", problem_mark=event.start_mark
-            )
+        problem = f"more than {_VALUES_MAX} values, expected a settings file" if self.values > _VALUES_MAX else None
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            problem = "an anchor or alias, expected a plain value"
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         return super().compose_node(parent, index)
 
-
-def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
-    """Read a YAML file: the document without its wrong values, the place of each key, and the values outside the
-    subset.
-
-    List indices are keys too, and the whole document is ``()``. Raises ConfigError, ``FILE:LINE: …``, if the file is
-    unreadable, not YAML, or entirely outside the subset.
-    """
-    try:
-        data = read_regular(path, _BYTES_MAX)
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a settings file") from error
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text") from error
-    try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        reader = _Reader(path, loader)
-        value = None if node is None else reader.value(node, ())
-    except _WrongError:
-        refuse(reader.mistakes)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"{path}:{mark.line + 1}" if mark else str(path)
-        raise ConfigError(f"{where}: not valid YAML here: {error.problem or error.context}") from error
-    except yaml.YAMLError as error:  # a character that YAML forbids
-        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
-    except RecursionError as error:
-        raise ConfigError(f"{path}: found YAML that is nested too deeply, expected a settings file's YAML") from error
-    reader.found.setdefault((), Found(1, "nothing"))
-    return value, reader.found, reader.mistakes
-
-
-class _Reader:
-    """Converts nodes to values and records each one's place and mistakes."""
-
-    def __init__(self, path: Path, loader: _Loader) -> None:
-        self._path = path
-        self._loader = loader
-        self.found: dict[Key, Found] = {}
-        self.mistakes: list[Mistake] = []
-
     def value(self, node: yaml.Node, key: Key) -> Any:
-        """The value of a node and everything below it. Raises _WrongError."""
+        """The value of a node and everything below it. Raises ConfigError."""
         line = node.start_mark.line + 1
         if isinstance(node, yaml.MappingNode):
             self.found.setdefault(key, Found(line, "a mapping"))
@@ -127,44 +82,70 @@ class _Reader:
         source = mark.buffer[mark.pointer : node.end_mark.pointer] if mark.buffer else ""
         text = shown(" ".join(source.split()), 60)
         self.found.setdefault(key, Found(line, text or "nothing"))
-        if node.tag not in _SCALARS:
-            raise self._wrong(line, key, f"found {text}, expected a plain value")
         try:
-            value = self._loader.construct_object(node)
+            value = self.construct_object(node) if node.tag in _SCALARS else node
         except ValueError:
-            raise self._wrong(line, key, f"found {text}, expected a plain value") from None
+            value = node
+        if value is node:
+            raise self._error(line, key, f"found {text}, expected a plain value")
+        is_finite = not isinstance(value, float) or math.isfinite(value)
         if isinstance(node, yaml.ScalarNode) and node.style is None and _DECIMAL.fullmatch(node.value):
             value = value if isinstance(value, int) else float(node.value)  # YAML 1.1 reads 3e1 as text
-        elif node.tag in _NUMBERS and not (isinstance(value, float) and not math.isfinite(value)):
+        elif node.tag in _NUMBERS and is_finite:
             expected = "expected a plain decimal number, or quotes around text"
-            raise self._wrong(line, key, f"found {text}, which YAML reads as {value}, {expected}")
+            raise self._error(line, key, f"found {text}, which YAML reads as {value}, {expected}")
         if isinstance(value, float) and not math.isfinite(value):
-            raise self._wrong(line, key, f"found {text}, expected a finite number")
+            raise self._error(line, key, f"found {text}, expected a finite number")
         return value
 
     def _mapping(self, node: yaml.MappingNode, key: Key) -> dict[str, Any]:
         values: dict[str, Any] = {}
-        seen: dict[str, int] = {}
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
-                self._wrong(line, key, "found a key that is not text, expected a setting's name")
-                continue
-            name = name_node.value
-            child = (*key, name)
-            if name in seen:
-                self._wrong(line, child, f"found again, expected once (first on line {seen[name]})")
-                continue
-            seen[name] = line
-            with contextlib.suppress(_WrongError):
-                values[name] = self.value(value_node, child)
+                raise self._error(line, key, "found a key that is not text, expected a setting's name")
+            child = (*key, name_node.value)
+            if child in self.found:
+                first = self.found[child].line
+                raise self._error(line, child, f"found again, expected once (first on line {first})")
+            values[name_node.value] = self.value(value_node, child)
             self.found[child] = Found(line, self.found[child].text)
         return values
 
-    def _wrong(self, line: int, key: Key, problem: str) -> _WrongError:
-        """Record a mistake and return the exception to raise."""
-        self.mistakes.append(Mistake(key, f"{self._path}:{line}: {dotted(key)}: {problem}", line))
-        return _WrongError()
+    def _error(self, line: int, key: Key, problem: str) -> ConfigError:
+        return ConfigError(f"{self.path}:{line}: {dotted(key)}: {problem}")
+
+
+def read(path: Path) -> YamlFile:
+    """Read a YAML file. Raises ConfigError, ``FILE:LINE: path.to.key: found …, expected …``, for the first mistake."""
+    try:
+        data = read_regular(path, _BYTES_MAX)
+    except OSError as error:
+        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a settings file") from error
+    return parse(path, data)
+
+
+def parse(path: Path, data: bytes) -> YamlFile:
+    """Parse the content of a YAML file. Raises ConfigError like `read`."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text") from error
+    try:
+        loader = _Loader(path, text)
+        node = loader.get_single_node()
+        value = None if node is None else loader.value(node, ())
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{path}:{mark.line + 1}" if mark else str(path)
+        raise ConfigError(f"{where}: not valid YAML here: {error.problem or error.context}") from error
+    except yaml.YAMLError as error:  # a character that YAML forbids
+        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: found YAML that is nested too deeply, expected a settings file's YAML") from error
+    loader.found.setdefault((), Found(1, "nothing"))
+    return YamlFile(path, value, loader.found)
 
 
 def dotted(key: Key) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -120,12 +119,6 @@ class Cell:
         self.frames.set()
         self._app.end()
 
-    def restart(self) -> None:
-        """Another daemon of the same settings."""
-        self._stop()
-        self.live.seen.messages.clear()
-        self._start()
-
     def close(self) -> None:
         self._stop()
         self._closing.close()
@@ -214,14 +207,14 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     final = cell.last("map/final")
     cell.until(lambda: cell.last("health")["stitching"]["presses"] == 4, "health")
     assert cell.last("health")["stitching"] == {"presses": 4, "refused": 1, "missed": missed, "waiting": 0}
-    cell.ask("record", action="stop")
+    dropped = cell.ask("record", action="stop")["dropped"]
 
     words = ["stitch", "--calibration", str(folder / "calibration.npz"), "--profile", "fast"]
     assert main([*words, "--recording", str(folder), "--out", str(tmp_path / "offline")]) == 0
     live, offline = Path(final["folder"]), tmp_path / "offline"
     assert live == tmp_path / "maps" / "1"
-    # On a starved machine the session passes over frames of the recording, and may miss a press that this has.
-    for name in () if missed else ("map.ply", "map.png", "map.npz", "preview.png"):
+    # On a starved machine the session passes over frames, or the recording lacks some.
+    for name in () if missed or dropped else ("map.ply", "map.png", "map.npz", "preview.png"):
         assert (live / name).read_bytes() == (offline / name).read_bytes(), name
     _, added = StitchFile.resume(live)
     for (_, base_T_sensor), (pose, _) in zip(added, presses(), strict=True):  # the sensor is the flange
@@ -238,35 +231,3 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     assert isinstance(cloud, wire.CloudMessage)
     assert cloud.seq == 5
     np.testing.assert_array_equal(cloud.points_mm, expected)
-
-
-def test_a_session_outlives_the_cable_and_the_daemon(cell: Cell, tmp_path: Path) -> None:
-    (first, image), (second, _), (third, _), _ = presses()
-    cell.frames.set()
-    cell.until(lambda: cell.last("contact"), "a frame")
-    assert "OK" in cell.command("STITCH BEGIN pad")
-    cell.until(lambda: cell.status()["state"] == "open", "open")
-    cell.press(first, image, 1)
-
-    cell.go(second)
-    missed = cell.status()["missed"]
-    cell.robot.unplug()
-    cell.until(lambda: cell.status()["reason"] == "the robot's pose is unknown, so no press can be added", "the gap")
-    cell.shown = image
-    cell.until(lambda: cell.status()["missed"] > missed, "a press without a pose")
-    cell.shown = unloaded()
-    cell.robot.plug()
-    cell.until(lambda: cell.status()["reason"].endswith("the robot's pose at the frame's time is unknown"), "the pose")
-    cell.until(lambda: any(e.startswith("GAP poses=") for e in cell.robot.events), "EVT GAP")
-    cell.press(second, image, 2)
-    cell.until(lambda: cell.status()["reason"] == "", "well again")
-
-    cell.go(HOME)
-    cell.restart()
-    assert (cell.status()["state"], cell.status()["name"], cell.status()["presses"]) == ("open", "pad", 2)
-    cell.press(third, image, 3)
-    answer = cell.command("STITCH END")
-    assert "name=pad presses=3 used=3 refined=" in answer
-    about = json.loads((tmp_path / "maps" / "pad" / "map.json").read_text())
-    assert (len(about["presses"]), about["used"]) == (3, 3)
-    cell.until(lambda: cell.last("map/final").get("presses") == 3, "told")

@@ -45,14 +45,6 @@ def test_a_hand_that_reads_nothing_keeps_no_finger_waiting_and_harms_no_other(li
     assert 1 <= taken < 2000
 
 
-def test_what_is_wanted_is_seen_by_all(lines: Lines) -> None:
-    assert [line.wanted for line in lines.fingers.values()] == [False, False]
-    lines.want(True)
-    assert [line.wanted for line in lines.fingers.values()] == [True, True]
-    lines.want(False)
-    assert not lines.fingers["thumb"].wanted
-
-
 def test_a_process_that_ended_is_told_for(lines: Lines) -> None:
     lines.end("thumb")
     lines.end("hand/left")  # the hand's own is none of them

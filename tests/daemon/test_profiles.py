@@ -94,14 +94,6 @@ def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
     assert machine.steps[3][1].reason == Reason(ReasonCode.WITHIN_BUDGET, text)
 
 
-def test_a_frame_that_began_before_the_step_does_not_count() -> None:
-    machine = Machine(20.0)
-    machine.run(5, load=2.2)
-    frames = machine.chooser.standing.frames
-    assert machine.chooser.observe("accurate", machine.now_s, 99.0, 99.0) is None
-    assert machine.chooser.standing.frames == frames
-
-
 @pytest.mark.slow
 def test_tries_that_fail_become_rare_and_one_that_lasts_is_forgiven() -> None:
     machine = Machine(20.0, 5.0)
@@ -144,24 +136,6 @@ def test_whatever_the_load_does_there_are_few_steps_a_minute(
             machine.frame(load)
     assert most_in_a_minute(at_s for at_s, _ in machine.steps) <= STEPS_A_MINUTE
     assert machine.path()[-1:] in ([], [machine.chooser.profile])
-
-
-def worst(machine: Machine) -> float:
-    """An enemy: idle until it is tried, then late."""
-    return 1000.0 if machine.chooser.profile != "fast" else 0.01
-
-
-@pytest.mark.slow
-def test_even_an_enemy_gets_few_steps() -> None:
-    machine = Machine(20.0, 10.0)
-    for _ in range(round(3600 * machine.fps)):
-        machine.frame(worst(machine))
-    times_s = [at_s for at_s, _ in machine.steps]
-    assert 2 <= most_in_a_minute(times_s) <= STEPS_A_MINUTE
-    assert sum(at_s > 1800 for at_s in times_s) <= 8  # two tries, of one rung and the next, and their returns
-
-
-SLOW_FPS = 3.0  # a camera for tests of minutes
 
 
 pytestmark = pytest.mark.slow

@@ -27,21 +27,18 @@ from tacshade_edge.daemon.publishing import (
     Publisher,
     discovery_topics,
 )
-from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.record import LiveRecorder
 from tacshade_edge.daemon.references import References
 from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.daemon.session_worker import SessionRequests
+from tacshade_edge.daemon.session_worker import Sessions
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Pose, Reconstruction, Slip
+from tacshade_edge.types import Calibration, Frame, Need, Slip
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import wait_until
-
-POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
 
 PERIOD_NS = 20_000_000  # 50 frames per second
 
@@ -110,17 +107,6 @@ def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
     assert played.seqs("height") == [0, 1, 3]
     assert played.outcomes == [None, None, "invalid", None]
     assert [(h.contact, h.invalid) for h in played.decoded("height")] == [(True, False), (False, True), (True, False)]
-
-
-def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
-    offers: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)), ignore, ignore)
-    reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
-    frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
-    for frame in frames:
-        publisher.see(FrameResult(frame, calibration, reconstructor.step(frame)))
-    decoded = [wire.decode(payload) for stream, payload in offers if stream not in ("contact", "touch")]
-    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 4 + [(None, 0)] * 4
 
 
 def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
@@ -217,17 +203,6 @@ def test_rates_are_between_two_snapshots() -> None:
     assert (second["capture_fps"], second["delivered_fps"], second["published_fps"]) == (0, 0, 0)
 
 
-def test_the_reason_of_the_newest_frame_stays_while_contacts_without_depth_follow() -> None:
-    health = Health(FrameLedger(), Timings())
-    frame = Frame(0, 0, 0, np.zeros((2, 2), np.uint8))
-    empty = HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1)
-    cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
-    torn = Reason(ReasonCode.TORN, "torn")
-    health.see(FrameResult(frame, None, Reconstruction(0, 0, 0, "", False, torn, False, False, None, empty, cloud)))
-    health.see(FrameResult(frame, None, None))
-    assert health.snapshot(0, {})["invalid_reason_code"] == "torn"
-
-
 def test_every_key_is_documented() -> None:
     section = DOCUMENT.read_text(encoding="utf-8").partition("## Health\n")[2].partition("\n## ")[0]
     documented = {
@@ -236,7 +211,7 @@ def test_every_key_is_documented() -> None:
     timings = Timings()
     timings.add({"wait": 1.0, "latency": 2.0})
     message = json.loads(encode_json(Health(FrameLedger(), timings).snapshot(0, {})))
-    reported = {each.health_key for each in (Robot, SessionRequests, References, RecordRequests, ActiveProfile)}
+    reported = {each.health_key for each in (Robot, Sessions, References, LiveRecorder, ActiveProfile)}
     assert set(message) | reported == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
@@ -350,12 +325,3 @@ def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) 
     with eyes(guarded) as later:
         later.wait_for(f"tacshade/hand/{STATUS}")
         assert not [m for m in later.messages if m.topic.startswith("homeassistant/")]
-
-
-@pytest.mark.broker
-@needs_broker
-def test_who_never_announced_writes_nothing_elsewhere(guarded: Broker, assistant: Subscriber) -> None:
-    with announcing(guarded.port, wanted=False):
-        wait_until(lambda: b"online" in assistant.of("tacshade/hand/state"), 10, "online")
-    wait_until(lambda: b"stopped" in assistant.of("tacshade/hand/state"), 10, "stopped")
-    assert {m.topic.split("/")[0] for m in assistant.messages} == {"tacshade"}

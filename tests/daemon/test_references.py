@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,15 @@ import pytest
 
 from tacshade_edge.core.calibration.reference.references import bounds
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon import references
+from tacshade_edge.daemon.observer import FrameResult
 from tacshade_edge.daemon.references import (
     GAP_S,
     PERIOD_S,
     REFERENCE_FRAMES,
     REST_S,
     UNTOUCHED_FRAMES,
-    ReferenceCollector,
     References,
-    UntouchedFrames,
     requested,
     restored,
 )
@@ -30,128 +28,113 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Need
-
-
-def collected(calibration: Calibration, images: list[Any]) -> list[U8] | Reason | None:
-    collector = ReferenceCollector()
-    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-    for seq, image in enumerate(images):
-        frame = Frame(seq, 0, 0, image)
-        collector.see(frame, reconstructor.step(frame))
-    return collector.outcome
-
-
-def test_exactly_the_next_frames_are_taken_once(calibration: Calibration, pictures: Any) -> None:
-    assert collected(calibration, [pictures.free] * (REFERENCE_FRAMES - 1)) is None
-    taken = collected(calibration, [pictures.free] * (2 * REFERENCE_FRAMES + 3))
-    assert isinstance(taken, list)
-    assert len(taken) == REFERENCE_FRAMES
-
-
-@pytest.mark.parametrize(
-    ("bad", "code"), [("touched", ReasonCode.FRAME_IN_CONTACT), ("black", ReasonCode.FRAME_INVALID)]
-)
-def test_a_touched_or_invalid_frame_ends_them(
-    calibration: Calibration, pictures: Any, bad: str, code: ReasonCode
-) -> None:
-    taken = collected(calibration, [pictures.free] * 4 + [getattr(pictures, bad)] + [pictures.free] * 20)
-    assert isinstance(taken, Reason)
-    assert taken.code is code
-    assert taken.text.startswith("frame 4: found ")
-
+from tools.testbed.painted_sensor import painted_calibration
 
 FPS = 10
 
-DOUBT = Reason(ReasonCode.GLARE, "glare hides 3 % of the disc")
 
+class Resting:
+    """`References` and a stream of frames on the test's clock."""
 
-class Stream:
-    """Frames at 10 per second of a clock that the test turns."""
-
-    def __init__(self, reconstructor: Reconstructor) -> None:
-        self.frames = UntouchedFrames()
-        self.s = 1000.0
-        self._reconstructor = reconstructor
+    def __init__(self, calibration: Calibration, path: Path) -> None:
+        self.path, self.changes, self.held = path, 0, False
+        self.references = References(
+            calibration, path, "left", lambda _: self._changed(), self._changed, lambda: self.held
+        )
+        self._reconstructor = make_reconstructor(calibration, PROFILES["fast"])
+        self.s = 0.0
 
     def show(self, image: U8, seconds: float, doubt: Reason | None = None, glance: bool = False) -> None:
+        """Show the same result again and again; with `glance`, of a contact only that it is one."""
         need = Need.CONTACT if glance else Need.SHEAR
+        result = self._reconstructor.step(Frame(0, 0, 0, image), need=need)
+        result = replace(result, degraded=doubt or result.degraded) if result else None
         for _ in range(round(seconds * FPS)):
             self.s += 1 / FPS
-            frame = Frame(0, round(self.s * 1e9), 0, image)
-            result = self._reconstructor.step(frame, need=need)
-            self.frames.see(frame, replace(result, degraded=doubt) if result and doubt else result)
+            self.references.frames.see(Frame(0, round(self.s * 1e9), 0, image), result)
 
     def taken(self) -> int | Reason | None:
-        """The number of images, or the doubt."""
-        taken = self.frames.take()
+        """The number of images of a rest, or the doubt."""
+        taken = self.references.frames.take()
         return len(taken) if isinstance(taken, list) else taken
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def look(self, image: U8, held: bool = False, doubt: Reason | None = None) -> bool:
+        """As long as it takes to the next look, and whether there is something to tell."""
+        self.show(image, max(REST_S, PERIOD_S) + UNTOUCHED_FRAMES / FPS + 0.2, doubt)
+        return self.poll(held)
+
+    def poll(self, held: bool = False) -> bool:
+        self.held, before = held, self.changes
+        self.references.poll()
+        return self.changes > before
+
+    def take(self, image: U8, frames: int = REFERENCE_FRAMES) -> Any:
+        """The reply to ``req/reference``, if there is one after so many frames."""
+        replies: list[Any] = []
+        self.references.handle(replies.append)
+        for seq in range(frames):
+            frame = Frame(seq, round(self.s * 1e9), 0, image)
+            result = self._reconstructor.step(frame, need=self.references.need())
+            self.references.see(FrameResult(frame, None, result))
+        self.references.poll()
+        return replies.pop() if replies else None
+
+    @property
+    def health(self) -> dict[str, Any]:
+        return self.references.health()
 
 
 @pytest.fixture
-def stream(calibration: Calibration) -> Stream:
-    return Stream(make_reconstructor(calibration, PROFILES["fast"]))
+def resting(calibration: Calibration, tmp_path: Path) -> Resting:
+    return Resting(calibration, tmp_path / "c.reference.npz")
 
 
 BATCH_S = UNTOUCHED_FRAMES / FPS
 
 
-def test_ten_frames_of_a_sensor_at_rest_once_a_minute(stream: Stream, pictures: Any) -> None:
-    stream.show(pictures.free, REST_S)
-    assert stream.taken() is None
-    stream.show(pictures.free, BATCH_S + 0.2)
-    assert stream.taken() == UNTOUCHED_FRAMES
-    stream.show(pictures.free, PERIOD_S - 1)
-    assert stream.taken() is None
-    stream.show(pictures.free, BATCH_S + 1)
-    assert stream.taken() == UNTOUCHED_FRAMES
-    assert stream.frames.discarded == 0
+def test_ten_frames_of_a_sensor_at_rest_once_a_minute(resting: Resting, pictures: Any) -> None:
+    resting.show(pictures.free, REST_S)
+    assert resting.taken() is None
+    resting.show(pictures.free, BATCH_S + 0.2)
+    assert resting.taken() == UNTOUCHED_FRAMES
+    resting.show(pictures.free, PERIOD_S - 1)
+    assert resting.taken() is None
+    resting.show(pictures.free, BATCH_S + 1)
+    assert resting.taken() == UNTOUCHED_FRAMES
+    assert resting.references.frames.discarded == 0
 
 
 @pytest.mark.parametrize("how", ["touched", "black"])
 @pytest.mark.parametrize("glance", [False, True])
-def test_a_touch_or_an_invalid_frame_ends_the_rest(stream: Stream, pictures: Any, how: str, glance: bool) -> None:
-    stream.show(pictures.free, REST_S + BATCH_S / 2)
-    assert stream.frames.at_rest
-    stream.show(getattr(pictures, how), 0.1, glance=glance)
-    assert (stream.frames.at_rest, stream.frames.discarded) == (False, 1)
-    stream.show(pictures.free, REST_S - 0.2)
-    assert stream.taken() is None
-    stream.show(pictures.free, BATCH_S + 0.4)
-    assert stream.taken() == UNTOUCHED_FRAMES
-    assert stream.frames.discarded == 1
+def test_a_touch_or_an_invalid_frame_ends_the_rest(resting: Resting, pictures: Any, how: str, glance: bool) -> None:
+    resting.show(pictures.free, REST_S + BATCH_S / 2)
+    assert resting.references.frames.at_rest
+    resting.show(getattr(pictures, how), 0.1, glance=glance)
+    assert (resting.references.frames.at_rest, resting.references.frames.discarded) == (False, 1)
+    resting.show(pictures.free, REST_S - 0.2)
+    assert resting.taken() is None
+    resting.show(pictures.free, BATCH_S + 0.4)
+    assert resting.taken() == UNTOUCHED_FRAMES
+    assert resting.references.frames.discarded == 1
 
 
-def test_nobody_knows_what_touched_while_no_frame_came(stream: Stream, pictures: Any) -> None:
-    stream.show(pictures.free, REST_S + BATCH_S / 2)
-    stream.s += GAP_S + 1
-    stream.show(pictures.free, REST_S)
-    assert stream.taken() is None
-    assert stream.frames.discarded == 1
-    stream.s -= 500  # another clock
-    stream.show(pictures.free, REST_S)
-    assert stream.taken() is None
+def test_nobody_knows_what_touched_while_no_frame_came(resting: Resting, pictures: Any) -> None:
+    resting.show(pictures.free, REST_S + BATCH_S / 2)
+    resting.s += GAP_S + 1
+    resting.show(pictures.free, REST_S)
+    assert resting.taken() is None
+    assert resting.references.frames.discarded == 1
+    resting.s -= 500  # another clock
+    resting.show(pictures.free, REST_S)
+    assert resting.taken() is None
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "calibration.reference.npz"
-
-
-def test_what_was_requested_is_restored(
-    calibration: Calibration, pictures: Any, path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO)
-    before_ns = time.time_ns()
-    taken = requested(calibration, [pictures.free // 2 + 20] * REFERENCE_FRAMES, path)
-    assert taken.reason is None
-    assert taken.calibration.crc32 not in (0, calibration.crc32)
-    again = restored(calibration, path)
-    assert again.as_dict() == taken.as_dict()
-    assert again.as_dict()["origin"] == "request"
-    assert again.wall_ns is not None
-    assert before_ns <= again.wall_ns <= time.time_ns()
-    assert again.calibrated is calibration
-    assert [record.levelname for record in caplog.records] == ["INFO", "INFO"]
 
 
 def test_another_calibration_makes_it_void_and_says_so_once(
@@ -172,19 +155,6 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert not path.exists()
 
 
-def test_a_damaged_one_is_told_and_left_alone(
-    calibration: Calibration, path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path.write_bytes(b"not of ours")
-    for _ in range(2):
-        origin = restored(calibration, path)
-        assert origin.calibration is calibration
-        assert origin.reason is not None
-        assert origin.reason.code is ReasonCode.CONFIG
-    assert path.read_bytes() == b"not of ours"
-    assert [record.levelname for record in caplog.records] == ["WARNING", "WARNING"]
-
-
 def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictures: Any, tmp_path: Path) -> None:
     taken = requested(calibration, [pictures.free] * REFERENCE_FRAMES, tmp_path / "gone" / "c.reference.npz")
     assert taken.calibration.crc32 != 0
@@ -193,42 +163,11 @@ def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictu
     assert taken.reason.text.endswith("this reference lasts only until the next start or reload")
 
 
-class Resting:
-    """`References` and a stream of frames on the test's clock."""
-
-    def __init__(self, calibration: Calibration, path: Path) -> None:
-        self.references = References(calibration, path, "left")
-        self._reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-        self._s = 0.0
-
-    def show(self, image: U8, seconds: float, doubt: Reason | None = None) -> None:
-        for _ in range(round(seconds * FPS)):
-            self._s += 1 / FPS
-            frame = Frame(0, round(self._s * 1e9), 0, image)
-            result = self._reconstructor.step(frame)
-            self.references.frames.see(frame, replace(result, degraded=doubt or result.degraded))
-
-    def look(self, image: U8, held: bool = False, doubt: Reason | None = None) -> bool:
-        """As long as it takes to the next look, and whether there is something to tell."""
-        self.show(image, max(REST_S, PERIOD_S) + UNTOUCHED_FRAMES / FPS + 0.2, doubt)
-        return self.references.follow(held)
-
-    @property
-    def health(self) -> dict[str, Any]:
-        return self.references.health()
-
-
-@pytest.fixture
-def resting(calibration: Calibration, tmp_path: Path) -> Resting:
-    return Resting(calibration, tmp_path / "c.reference.npz")
-
-
-@pytest.mark.slow
 def test_it_follows_from_where_it_began_and_tells_how_far(
     resting: Resting, calibration: Calibration, pictures: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    assert not resting.references.follow(held=False)
+    assert not resting.poll()
     assert (resting.health["state"], resting.health["light"], resting.health["looks"]) == ("waiting", None, 0)
     assert resting.look(pictures.free)
     assert not resting.look(pictures.free)
@@ -261,7 +200,6 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
     assert set(resting.health) >= set(info["bounds"]) - {"light_low", "light_high"}
 
 
-@pytest.mark.slow
 def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures: Any) -> None:
     darker = camera_faults.gain(pictures.free, 0.9)
     assert resting.look(darker, held=True)
@@ -270,12 +208,11 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
     assert (resting.health["state"], resting.health["looks"]) == ("held", 0)
     resting.show(darker, PERIOD_S + 2)
     resting.show(pictures.touched, 0.1)
-    assert resting.references.follow(held=False)  # the state alone
+    assert resting.poll()  # the state alone
     assert (resting.health["looks"], resting.health["renewals"]) == (1, 0)
     assert resting.look(darker)
 
 
-@pytest.mark.slow
 def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibration: Calibration, pictures: Any) -> None:
     doubt = Reason(ReasonCode.GLARE, "glare hides 3 % of the disc")
     assert resting.look(pictures.free, doubt=doubt)
@@ -291,13 +228,13 @@ def test_a_request_is_a_new_beginning_that_outlives_a_restart(
     resting: Resting, calibration: Calibration, pictures: Any, tmp_path: Path
 ) -> None:
     darker = camera_faults.gain(pictures.free, 0.7)
-    taken = resting.references.take([darker] * 10)
+    taken = resting.take(darker)
     assert (taken.frames, taken.unstored) == (10, None)
     assert taken.calibration_crc32 == resting.references.calibration.crc32 != calibration.crc32
     assert resting.look(camera_faults.gain(pictures.free, 0.6))  # 0.86 of the beginning's
     assert resting.health["state"] == "following"
     resting.references.stop()
-    again = References(calibration, tmp_path / "c.reference.npz", "left")
+    again = References(calibration, tmp_path / "c.reference.npz", "left", lambda _: None)
     assert again.calibration.crc32 == taken.calibration_crc32
     assert again.info() == {**resting.references.info(), "state": "waiting"}
     again.reload(calibration, tmp_path / "another.reference.npz")
@@ -308,13 +245,14 @@ def test_a_request_is_a_new_beginning_that_outlives_a_restart(
 def test_the_stored_reference_has_one_owner(
     resting: Resting, calibration: Calibration, pictures: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    taken = resting.references.take([pictures.free] * 10)
+    taken = resting.take(pictures.free)
     stored = (tmp_path / "c.reference.npz").read_bytes()
-    other = References(calibration, tmp_path / "c.reference.npz", "right")
+    second = Resting(calibration, tmp_path / "c.reference.npz")
+    other = second.references
     assert "c.reference.npz: in use by 'sensor left, process" in caplog.text
     assert (other.info() or {})["reason_code"] == "in_use"
     assert other.calibration.crc32 == taken.calibration_crc32, "it may be read"
-    unstored = other.take([camera_faults.gain(pictures.free, 0.7)] * 10).unstored
+    unstored = second.take(camera_faults.gain(pictures.free, 0.7)).unstored
     assert unstored is not None
     assert unstored.code is ReasonCode.IN_USE
     assert "this reference lasts only until the next start or reload" in unstored.text
@@ -322,5 +260,20 @@ def test_the_stored_reference_has_one_owner(
     other.reload(newer, tmp_path / "c.reference.npz")
     assert (tmp_path / "c.reference.npz").read_bytes() == stored, "nor deleted"
     resting.references.stop()
-    assert other.take([pictures.free // 2 + 20] * 10).unstored is None
+    other.reload(calibration, tmp_path / "c.reference.npz")
+    assert second.take(pictures.free).unstored is None
     other.stop()
+
+
+def test_a_reference_is_taken_from_the_next_ten_frames_once(
+    resting: Resting, pictures: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert resting.take(pictures.free, REFERENCE_FRAMES - 1) is None
+    assert resting.references.need() == Need.DEPTH
+    assert resting.take(pictures.free, 0).code is ReasonCode.BUSY
+    monkeypatch.setattr(references, "REFERENCE_TIMEOUT_S", 0.0)
+    resting = Resting(painted_calibration(), resting.path)
+    assert resting.take(pictures.free, 1).text == "received fewer than 10 frames within 0 s"
+    assert resting.take(pictures.touched).code is ReasonCode.FRAME_IN_CONTACT
+    assert resting.take(pictures.black).code is ReasonCode.FRAME_INVALID
+    assert (resting.changes, resting.references.need()) == (0, Need.CONTACT)

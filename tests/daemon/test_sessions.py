@@ -6,13 +6,11 @@ import json
 import os
 import shutil
 import struct
-import subprocess
-import sys
 import threading
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -29,11 +27,10 @@ from tacshade_edge.daemon import session as map_publisher
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.daemon.robot import Robot as SerialRobot
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session, thinned_points
-from tacshade_edge.daemon.session_worker import SessionRequests, SessionWorker
+from tacshade_edge.daemon.session_worker import Sessions
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol.requests import Request, encode_reply
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -54,7 +51,7 @@ from tools.testbed.patience import patience, wait_until
 
 
 def test_a_frame_is_for_those_who_waited_before_it_was_taken() -> None:
-    waiting, early, late = FrameWaiters[Any]("wait"), list[Reason]().append, list[Reason]().append
+    waiting, early, late = FrameWaiters("wait"), list[Reason]().append, list[Reason]().append
     waiting.put(10, early)
     waiting.put(20, late)
     assert [waiting.take(9), waiting.take(15), waiting.take(20)] == [[], [early], [late]]
@@ -62,7 +59,7 @@ def test_a_frame_is_for_those_who_waited_before_it_was_taken() -> None:
 
 
 def test_who_waits_in_vain_or_is_one_too_many_is_refused() -> None:
-    waiting, early, late = FrameWaiters[Any]("wait"), list[Reason](), list[Reason]()
+    waiting, early, late = FrameWaiters("wait"), list[Reason](), list[Reason]()
     waiting.put(0, early.append)
     waiting.put(1, late.append)
     waiting.expire(FRAME_TIMEOUT_NS)
@@ -149,7 +146,7 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
     assert (session.name, session.presses, session.points) == ("old", 1, 3)
     np.testing.assert_allclose(session.map_revision().raster().points()[0], (100, 200, 20))
     session.add(press_of(POSES[0], 0), POSES[0], 1)
-    session.close()
+    session.file.close()
     written = (folder / "presses.bin").read_bytes()
     assert written.startswith(struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body)
     assert len(written) == 2 * 12 + len(body) + 12 * 8 + 600 * 28
@@ -162,68 +159,10 @@ def test_a_full_map_refuses_and_an_aborted_session_is_gone(tmp_path: Path, monke
         session.add(press_of(POSES[0], 0), POSES[0], 13)
     assert caught.value.reason.code == ReasonCode.MAP_FULL
     assert session.status(1).presses == 3
-    session.close()
+    session.file.close()
     assert len(StitchFile.resume(tmp_path / "pad")[1]) == 3  # it is not on the disk either
-    assert session.abort() == SessionAborted("pad", 3)
+    session.file.remove()
     assert [*tmp_path.iterdir()] == []
-
-
-MOST_MB = 300
-
-"""Beside what the daemon takes without a session; `systemd/serial.conf` gives both."""
-
-LEFT_MB = 40
-
-"""When it has ended; without a word to the C library it was 200."""
-
-SCENARIO = """
-import sys, tempfile
-from pathlib import Path
-import numpy as np
-from tools.testbed.painted_sensor import painted_calibration
-from tacshade_edge.core.stitching.press_points import PressPoints
-from tacshade_edge.core.stitching.stitcher import EXTENT_MAX_TILES, TILES_MAX
-from tacshade_edge.daemon.session import Session
-from tacshade_edge.free_memory import return_free_memory
-from tacshade_edge.rigid import Rigid
-
-
-def memory_mb(field):
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(field)) / 1024
-
-
-x, y = np.meshgrid(np.arange(62) * 0.25, np.arange(62) * 0.25)  # fills a tile
-points = np.stack((x, y, 20 + 0.3 * np.sin(x / 3)), axis=-1).reshape(-1, 3).astype(np.float32)
-press = PressPoints(points, np.tile(np.float32((0, 0, 1)), (len(points), 1)), np.ones(len(points), np.float32))
-tiles = TILES_MAX // 4  # as far apart as a full session may spread, in a quarter of the time
-side = int(tiles**0.5)
-apart_mm = 16.0 * (EXTENT_MAX_TILES / tiles) ** 0.5
-with tempfile.TemporaryDirectory() as folder:
-    session = Session.begin(Path(folder), "full", painted_calibration(), "left")
-    before = memory_mb("VmRSS")
-    for k in range(tiles):
-        at = np.array((k % side * apart_mm + 0.1, k // side * apart_mm + 0.1, 0.0))
-        session.add(press, Rigid(np.eye(3), at), k)
-    assert session.status(0).tiles == tiles
-    session.map_revision().raster()
-    session.finish(0)
-del session
-return_free_memory()
-print(memory_mb("VmHWM") - before, memory_mb("VmRSS") - before)
-"""
-
-
-@pytest.mark.slow
-def test_a_full_session_stays_within_what_the_service_has() -> None:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(("tests", os.environ.get("PYTHONPATH", "")))}
-    words = [sys.executable, "-c", SCENARIO]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=root, env=environment)
-    assert done.returncode == 0, done.stderr
-    most_mb, left_mb = map(float, done.stdout.split())
-    assert 100 < most_mb < MOST_MB
-    assert left_mb < LEFT_MB
 
 
 DEADLINE_S = 20.0
@@ -234,22 +173,20 @@ Outcome = SessionResult | Reason
 class Robot:
     """Sends commands, shows frames, waits for answers."""
 
-    def __init__(
-        self, folder: Path, *, automatic: bool = False, with_pose: Callable[[Frame], Frame] = lambda frame: frame
-    ) -> None:
+    def __init__(self, folder: Path, *, automatic: bool = False, poses: Any = None) -> None:
         self.maps: list[MapRevision] = []
-        self.worker = SessionWorker(folder, "left", self.maps.append, with_pose, automatic=automatic)
-        self.thread = threading.Thread(target=self.worker.run)
-        self.thread.start()
+        self.published: dict[str, bytes] = {}
+        self.sessions = Sessions(folder, "left", self.published.__setitem__, poses, automatic=automatic)
+        self.sessions.publish_map = lambda revision: bool(self.maps.append(revision))
+        self.sessions.start()
         self.seq = 0
 
     def ask(self, action: str, name: str = "") -> Outcome:
-        answers = self.begin(action, name)
-        return wait(answers)
+        return wait(self.begin(action, name))
 
     def begin(self, action: str, name: str = "") -> SimpleQueue[Outcome]:
         answers: SimpleQueue[Outcome] = SimpleQueue()
-        self.worker.submit(action, name, answers.put)
+        self.sessions.submit(action, name, answers.put)
         return answers
 
     def show(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True, t_ns: int | None = None) -> None:
@@ -257,24 +194,21 @@ class Robot:
         at_ns = time.monotonic_ns() if t_ns is None else t_ns
         where = Pose(at_ns, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
         frame = Frame(self.seq, at_ns, 0, np.zeros((4, 4), np.uint8), where)
-        seen = Reconstruction(self.seq, at_ns, 0, *(getattr(result, n) for n in REST))
-        self.worker.observe(frame, seen, calibrated())
+        self.sessions.see(FrameResult(frame, calibrated(), replace(result, seq=self.seq, t_ns=at_ns)))
 
     def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> Outcome:
         answers = self.begin("ADD")
         self.show(result, x_mm, pose=pose)
         return wait(answers)
 
+    def status(self) -> dict[str, Any]:
+        """The latest ``status/stitching``."""
+        self.sessions.poll()
+        return dict(json.loads(self.published["status/stitching"]))
+
     def end(self) -> None:
-        self.worker.stop()
-        self.thread.join(patience(DEADLINE_S))
-        assert not self.thread.is_alive()
-
-
-REST = (
-    "profile", "valid", "reason", "contact", "saturated", "degraded", "height", "cloud", "objects", "volume_mm3",
-    "repaired_px",
-)  # fmt: skip
+        self.sessions.stop(patience(DEADLINE_S))
+        assert not self.sessions._thread.is_alive()
 
 
 def code(outcome: Outcome) -> ReasonCode | None:
@@ -313,19 +247,26 @@ def nothing() -> Reconstruction:
 
 
 def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
+    folder = tmp_path / "sessions" / "pad-1"
     robot.show(ball)
+    assert robot.sessions.need() == Need.CONTACT
     assert robot.ask("BEGIN", "pad-1") == SessionBegun("pad-1")
+    assert robot.sessions.need() == Need.DEPTH  # every frame, whoever listens
     for k in range(3):
         added = robot.add(ball, 3.0 * k)
         assert isinstance(added, PressAdded)
         assert (added.press, added.frame) == (k + 1, robot.seq)
         assert added.points > 100
-    assert (status(robot).name, status(robot).presses) == ("pad-1", 3)
+    known = status(robot)
+    assert (known.name, known.presses, known.points) == ("pad-1", 3, 3 * added.points)
+    shown = {"state": "open", "reason": "", "reason_code": "", "missed": 0, "folder": ""}
+    assert robot.status() == {**shown, "name": "pad-1", "presses": 3, "points": known.points, "revision": 3}
     ended = robot.ask("END")
     assert isinstance(ended, SessionEnded)
     assert (ended.name, ended.presses, ended.used) == ("pad-1", 3, 3)
     assert robot.ask("STATUS") == NoSession()
-    folder = tmp_path / "sessions" / "pad-1"
+    assert {"state": "idle", "name": "", "folder": str(folder)}.items() <= robot.status().items()
+    assert robot.sessions.health() == {"presses": 3, "refused": 0, "missed": 0, "waiting": 0}
     about = json.loads((folder / "map.json").read_text())
     assert [record["used"] for record in about["presses"]] == [True] * 3
     assert [r.revision for r in robot.maps] == [1, 2, 3, 4]
@@ -415,10 +356,10 @@ def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytes
     robot.show(ball)
     robot.ask("BEGIN")
     answers = robot.begin("ADD")
-    robot.worker.poll()
+    robot.sessions.poll()
     assert answers.empty()
     monkeypatch.setattr("tacshade_edge.daemon.observer.FRAME_TIMEOUT_NS", -1)
-    robot.worker.poll()
+    robot.sessions.poll()
     assert code(wait(answers)) == ReasonCode.TIMEOUT
 
 
@@ -433,7 +374,7 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     assert code(robot.ask("BEGIN", "x")) is None
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
+@pytest.mark.parametrize("name", ["../x", ".x", "x" * 65])
 def test_names_stay_in_the_folder(robot: Robot, ball: Reconstruction, name: str) -> None:
     robot.show(ball)
     assert code(robot.ask("BEGIN", name)) == ReasonCode.BAD_NAME
@@ -478,22 +419,9 @@ def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path
     robot.end()
 
 
-def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
-    def with_pose(frame: Frame) -> Frame:
-        assert frame.image.size == 0  # what waits here must not keep images
-        return replace(frame, pose=Pose(frame.t_ns, 50.0, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
-
-    robot = Robot(tmp_path, with_pose=with_pose)
-    robot.show(ball)
-    robot.ask("BEGIN")
-    assert code(robot.add(ball, pose=False)) is None
-    robot.end()
-    assert robot.maps[-1].raster().x0_mm > 30
-
-
 def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever thread asks for a frame's pose first, and however the robot's clock and poses change meanwhile."""
-    line = SerialRobot(SerialPort("/dev/none", 115200), *[lambda *_: {}] * 3, missing=lambda: None)
+    line = SerialRobot(SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None)
     asked: Counter[int] = Counter()
 
     def at(t_ns: int) -> tuple[Pose, int] | None:
@@ -502,7 +430,7 @@ def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch:
         return None if unknown else (Pose(t_ns, asked[t_ns], 0, 20, 0, 1, 0, 0), 100)
 
     monkeypatch.setattr(line.motion, "at", at)
-    robot = Robot(tmp_path, automatic=True, with_pose=line.with_interpolated_pose)
+    robot = Robot(tmp_path, automatic=True, poses=line)
     images = [
         unloaded(),
         *[picture for k in range(6) for picture in [pressed("ball", 2 + k % 2).image] * 20 + [unloaded()]],
@@ -511,7 +439,7 @@ def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch:
     recorded = [line.with_interpolated_pose(frame) for frame in frames[: len(frames) // 2]]
     reconstructor = make_reconstructor(calibrated(), PROFILES["fast"])
     for frame in frames:
-        robot.worker.observe(line.with_pose(frame), reconstructor.step(frame), calibrated())
+        robot.sessions.see(FrameResult(line.with_pose(frame), calibrated(), reconstructor.step(frame)))
         if frame.seq == 0:
             robot.ask("BEGIN", "pad")
     missed = status(robot).missed
@@ -528,17 +456,8 @@ def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch:
         assert base_T_sensor.seven() == press.base_T_sensor.seven()
 
 
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:
-    robot = Robot(tmp_path / ("x" * 300))
-    robot.show(ball)
-    failed = robot.ask("BEGIN", "pad")
-    assert (code(failed), "File name too long" in str(failed)) == (ReasonCode.DISK, True)
-    assert robot.ask("STATUS") == NoSession()
-    robot.end()
-
-
 def test_a_deferred_map_is_published_though_nothing_more_comes(
-    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tacshade_edge.daemon.session_worker.DEFERRED_S", 0.01)
     published: list[int] = []
@@ -547,120 +466,50 @@ def test_a_deferred_map_is_published_though_nothing_more_comes(
         published.append(revision.revision)
         return len(published) < 3
 
-    robot = Robot(tmp_path)
-    robot.end()
-    robot.worker = SessionWorker(tmp_path, "left", publish)
-    robot.thread = threading.Thread(target=robot.worker.run)
-    robot.thread.start()
+    robot.sessions.publish_map = publish
     robot.show(ball)
     robot.ask("BEGIN")
     robot.add(ball)
     wait_until(lambda: len(published) == 3, DEADLINE_S, "published again")
     robot.ask("STATUS")
-    robot.end()
     assert published == [1, 1, 1]
 
 
-BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
+def test_an_open_session_of_a_robot_whose_pose_is_unknown(tmp_path: Path, ball: Reconstruction) -> None:
+    line = SerialRobot(SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None)
+    robot = Robot(tmp_path, poses=line)
+    robot.show(ball)
+    robot.ask("BEGIN")
+    assert (robot.status()["state"], robot.status()["reason_code"]) == ("open", "no_pose")
+    robot.end()
 
 
-class Sessions:
-    def __init__(self, folder: Path) -> None:
-        self.published: dict[str, bytes] = {}
-        self.replies: list[dict[str, Any]] = []
-        self.sessions = SessionRequests(
-            folder,
-            "left",
-            self.published.__setitem__,
-            lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
-            None,
-        )
-        self.sessions.start()
-
-    def show(self, result: Reconstruction | None, *, pose: bool = True) -> None:
-        t_ns = time.monotonic_ns()
-        at = Pose(t_ns, 1.0, 2.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
-        frame = Frame(1, t_ns, 0, np.zeros((2, 2), np.uint8), at)
-        seen = None if result is None else replace(result, t_ns=t_ns)
-        self.sessions.see(FrameResult(frame, calibrated(), seen))
-
-    def ask(self, request: Request, result: Reconstruction | None = None) -> dict[str, Any]:
-        count = len(self.replies)
-        self.sessions.handle(request)
-        if result is not None:
-            self.show(result)
-        wait_until(lambda: len(self.replies) > count, 20, "a reply")
-        return self.replies[-1]
-
-    def status(self) -> dict[str, Any]:
-        self.sessions.poll()
-        return dict(json.loads(self.published["status/stitching"]))
-
-
-@pytest.fixture
-def sessions(tmp_path: Path) -> Iterator[Sessions]:
-    one = Sessions(tmp_path)
-    yield one
-    one.sessions.stop(20)
-
-
-@pytest.mark.slow
-def test_a_session_over_mqtt(sessions: Sessions, tmp_path: Path) -> None:
-    ball = step("fast", pressed("ball", 3.0).image)
-    assert sessions.ask(BEGIN)["reason_code"] == "no_frame"
-    sessions.show(step("fast", unloaded()))
-    assert sessions.sessions.need() == Need.CONTACT
-    assert sessions.ask(replace(BEGIN, name="7", transaction="t")) == {
-        "transaction": "t",
-        "ok": True,
-        "result": {"name": "7"},
-    }
-    assert sessions.sessions.need() == Need.DEPTH  # every frame, whoever listens
-    assert sessions.status() == {
-        **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
-        **{"missed": 0, "folder": ""},
-    }
-    added = sessions.ask(ADD, ball)["result"]
-    assert (added["press"], added["frame"]) == (1, 1)
-    assert sessions.ask(STATUS)["result"]["points"] == added["points"] > 100
-    ended = sessions.ask(END)["result"]
-    assert (ended["name"], ended["presses"], ended["disagreement_mm"]) == ("7", 1, 0.0)
-    assert sessions.status() == {
-        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
-        **{"missed": 0, "folder": str(tmp_path / "7")},
-    }
-    assert sessions.sessions.need() == Need.CONTACT
-    assert {"map/cloud", "map/revision", "map/final"} <= set(sessions.published)
-    assert sessions.sessions.health() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
-
-
-def test_what_was_not_added_is_counted_and_told(sessions: Sessions, monkeypatch: pytest.MonkeyPatch) -> None:
-    ball = step("fast", pressed("ball", 3.0).image)
-    refused = sessions.ask(ADD)
-    assert (refused["error"], refused["reason_code"]) == (
-        "NOSESSION: no session is open; begin one first",
-        "no_session",
-    )
-    sessions.show(step("fast", unloaded()))
-    sessions.ask(BEGIN)
-    sessions.show(None)  # a contact that nobody asked for, from before
+def test_what_was_not_added_is_counted_and_published(
+    tmp_path: Path, ball: Reconstruction, nothing: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    assert code(robot.ask("ADD")) is ReasonCode.NO_SESSION
+    robot.show(nothing)
+    robot.ask("BEGIN")
     monkeypatch.setattr("tacshade_edge.core.stitching.press_points.REST_NS", 0)
-    sessions.show(ball, pose=False)
-    sessions.show(ball, pose=False)
-    wait_until(lambda: sessions.status()["missed"] == 1, 20, "missed")
-    assert sessions.status()["reason"].endswith("the robot's pose at the frame's time is unknown")
-    sessions.show(step("fast", unloaded()))
-    sessions.show(ball)
-    sessions.show(ball)
-    wait_until(lambda: sessions.status()["presses"] == 1, 20, "the next one")
-    assert (sessions.status()["reason"], sessions.status()["missed"]) == ("", 1)
-    assert sessions.sessions.health() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+    for _ in range(2):
+        robot.show(ball, pose=False)
+    wait_until(lambda: robot.status()["missed"] == 1, 20, "missed")
+    assert robot.status()["reason"].endswith("the robot's pose at the frame's time is unknown")
+    robot.show(nothing)
+    for _ in range(2):
+        robot.show(ball)
+    wait_until(lambda: robot.status()["presses"] == 1, 20, "the next one")
+    assert (robot.status()["reason"], robot.status()["missed"]) == ("", 1)
+    assert robot.sessions.health() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+    robot.end()
 
 
-def test_a_stop_does_not_wait_for_a_map(sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sessions.show(step("fast", unloaded()))
-    sessions.ask(replace(BEGIN, name="pad"))
-    sessions.ask(ADD, step("fast", pressed("ball", 3.0).image))
+def test_a_stop_does_not_wait_for_a_map(tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot(tmp_path)
+    robot.show(ball)
+    robot.ask("BEGIN", "pad")
+    robot.add(ball)
     finish, go_on = Stitcher.finish, threading.Event()
 
     def slow(stitcher: Stitcher) -> StitchedMap:
@@ -668,10 +517,10 @@ def test_a_stop_does_not_wait_for_a_map(sessions: Sessions, tmp_path: Path, monk
         return finish(stitcher)
 
     monkeypatch.setattr(Stitcher, "finish", slow)
-    sessions.sessions.handle(END)
-    wait_until(lambda: sessions.status()["state"] == "ending", 20, "ending")
-    sessions.sessions.stop(0.01)
-    assert sessions.status()["state"] == "ending"
+    robot.begin("END")
+    wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
+    robot.sessions.stop(0.01)
+    assert robot.status()["state"] == "ending"
     assert open_session(tmp_path, "left") == tmp_path / "pad"  # for the next sessions
     go_on.set()
-    wait_until(lambda: sessions.status()["state"] == "idle", 20, "idle")
+    robot.end()

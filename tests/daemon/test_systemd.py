@@ -117,16 +117,6 @@ def hanging(pictures: Any, hang: threading.Event, release: threading.Event) -> I
     yield from streaming(pictures.free)
 
 
-def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
-    manager: Manager, start: Any, scripted: Any, wait_until: Any
-) -> None:
-    source = scripted(*[GONE] * 100)
-    start(source)
-    wait_until(lambda: manager.watchdogs() >= 2)
-    assert manager.has(f"STATUS=away ({GONE}), 0.0 frames/s")
-    assert len(source.opened_ns) >= 2
-
-
 def test_a_bad_reload_keeps_what_runs(
     manager: Manager,
     start: Any,
@@ -139,21 +129,15 @@ def test_a_bad_reload_keeps_what_runs(
     app = start(scripted(streaming(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
     before, good = app._active.reconstructor, settings.read_text()
-    for old, new, problem in (
-        ("profile: fast", "profile: slow", "found slow"),
-        ("c.npz", "absent.npz", "absent.npz"),
-        ("kind", "k", "source.k"),
-    ):
-        settings.write_text(good.replace(old, new))
-        told, fed = len(manager.heard), manager.watchdogs()
-        caplog.clear()
-        app.reload()
-        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=rejected the reload", told))
-        warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
-        assert len(warnings) == 1
-        assert problem in warnings[0]
-        wait_until(lambda told=told: manager.has("frames/s; rejected the reload", told))
-        wait_until(lambda fed=fed: manager.watchdogs() > fed)
+    settings.write_text(good.replace("c.npz", "absent.npz"))
+    fed = manager.watchdogs()
+    app.reload()
+    wait_until(lambda: manager.has("READY=1\nSTATUS=rejected the reload"))
+    warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
+    assert len(warnings) == 1
+    assert "absent.npz" in warnings[0]
+    wait_until(lambda: manager.has("frames/s; rejected the reload"))
+    wait_until(lambda: manager.watchdogs() > fed)
     assert app._active.reconstructor is before
     settings.write_text(good)
     app.reload()
@@ -239,26 +223,6 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
     mailbox.close()
     for thread in threads:
         thread.join(patience(10))
-
-
-@pytest.mark.parametrize("address", ["", None])
-def test_without_a_manager_nothing_is_said(address: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    if address is not None:
-        monkeypatch.setenv("NOTIFY_SOCKET", address)
-    opened: list[object] = []
-    monkeypatch.setattr(socket, "socket", lambda *kind: opened.append(kind))
-    notify("READY=1")
-    assert opened == []
-
-
-def test_a_manager_with_an_abstract_address_hears(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind("")  # the kernel finds one
-        monkeypatch.setenv("NOTIFY_SOCKET", "@" + manager.getsockname()[1:].decode())
-        notify("READY=1")
-        manager.settimeout(patience(5))
-        assert manager.recv(100) == b"READY=1"
 
 
 def test_a_manager_that_is_gone_is_told_and_no_end(

@@ -143,7 +143,7 @@ class Wire:
 def test_the_hosts_code_talks_to_the_daemon() -> None:
     wire = Wire()
     state = {"source": "streaming", "health": {"delivered_fps": 30.0}}
-    robot = Robot(SerialPort(wire.name, 115200), lambda _: None, lambda: state, lambda _: None, lambda: None)
+    robot = Robot(SerialPort(wire.name, 115200), lambda *_: None, lambda: state, lambda _: None, lambda: None)
     robot.start()
     try:
         host = Daemon(wire, "a1")

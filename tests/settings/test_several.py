@@ -63,43 +63,34 @@ def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
         load(path, "ring")
 
 
-def test_every_mistake_is_told_with_its_line_and_what_all_have_once(tmp_path: Path) -> None:
-    text = """\
-calibration: c.npz
-mqtt: {port: 0}
-sensors:
-  thumb: {calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}
-  index:
-    calibration: t.npz
-    source: {kind: v4l2, device: /dev/video0}
-    profile: slow
-  bad id: {sensor_id: x, source: {kind: simulated}}
-  none:
-"""
-    path = write(tmp_path, text)
-    with pytest.raises(ConfigError) as caught:
-        load_all(path)
-    assert [
-        line.removeprefix(f"{path}:").partition(", expected ")[0] for line in (str(caught.value), *caught.value.others)
-    ] == [
-        "1: calibration: found beside sensors",
-        "2: mqtt.port: found 0",
-        "6: sensors.index.calibration: found the same as in sensors.thumb.calibration",
-        "7: sensors.index.source: found the same as in sensors.thumb.source",
-        "8: sensors.index.profile: found slow",
-        "9: sensors.bad id.sensor_id: found a second id",
-        "9: sensors.bad id.sensor_id: found bad id",
-        "10: sensors.none: found nothing",
-        " sensors.bad id.calibration: found nothing",
-    ]
+GOOD_SENSOR = "{calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("sensors:\n", "nothing"), ("sensors: {}\n", "0"), ("sensors: [a]\n", "a list")]
+    ("text", "said"),
+    [
+        ("sensors:\n", "1: sensors: found nothing"),
+        ("sensors: {}\n", "1: sensors: found 0"),
+        ("sensors: [a]\n", "1: sensors: found a list"),
+        ("calibration: c.npz\nsensors: {a: {}}\n", "1: calibration: found beside sensors"),
+        (f"mqtt: {{port: 0}}\nsensors:\n  a: {GOOD_SENSOR}\n", "1: mqtt.port: found 0"),
+        (f"sensors:\n  a: {GOOD_SENSOR}\n  b: {GOOD_SENSOR}\n", "3: sensors.b.calibration: found the same as in "),
+        (
+            f"sensors:\n  a: {GOOD_SENSOR}\n  b: {GOOD_SENSOR.replace('t.npz', 'b.npz')}\n",
+            "3: sensors.b.source: found the same as in sensors.a.source",
+        ),
+        (f"sensors:\n  a b: {GOOD_SENSOR}\n", "2: sensors.a b.sensor_id: found a b"),
+        ("sensors:\n  a: {sensor_id: b}\n", "2: sensors.a.sensor_id: found a second id"),
+        ("sensors:\n  a: {source: {kind: simulated}}\n", " sensors.a.calibration: found nothing"),
+        ("sensors:\n  a:\n", "2: sensors.a: found nothing"),
+        (f"sensors:\n  a: {GOOD_SENSOR.replace('}}', '}, profile: slow}')}\n", "2: sensors.a.profile: found slow"),
+    ],
 )
-def test_no_sensors(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=f":1: sensors: found {said}"):
-        load_all(write(tmp_path, text))
+def test_a_mistake_among_several_has_its_line(tmp_path: Path, text: str, said: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load_all(path)
+    assert str(caught.value).removeprefix(f"{path}:").startswith(said)
 
 
 HAND = """\
@@ -137,7 +128,7 @@ def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         (", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]", "", " sensors.thumb.hand_T_sensor: found nothing"),
-        ("[1, 2.5, -3, 1, 0, 0, 0]", "null", "4: sensors.thumb.hand_T_sensor: found no place"),
+        ("[1, 2.5, -3, 1, 0, 0, 0]", "null", "4: sensors.thumb.hand_T_sensor: found nothing"),
         ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6"),
         ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),
         ("[0, 0, 90,", "[0, 0, 9.0e+7,", "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away"),
@@ -199,8 +190,7 @@ FILES: list[tuple[str, Callable[[Path], object]]] = [
 @pytest.mark.parametrize(
     ("number", "meant"),
     [
-        *(("0115200", 39552), ("040", 32), ("000", 0), ("-017", -15), ("020.5", 20.5), ("1_000", 1000)),
-        *(("0x28", 40), ("0b101", 5), ("1:30", 90), ("1:30.5", 90.5), ("0_7", 7)),
+        *(("0115200", 39552), ("-017", -15), ("020.5", 20.5), ("1_000", 1000), ("0x28", 40), ("1:30", 90)),
     ],
 )
 def test_a_number_that_yaml_reads_in_its_own_way_is_refused(
@@ -226,8 +216,8 @@ def test_a_number_that_yaml_reads_in_its_own_way_is_refused(
 def test_plain_decimals_are_numbers_and_quoted_ones_are_text(tmp_path: Path, text: str, value: object) -> None:
     path = tmp_path / "any.yaml"
     path.write_text(f"a: {text}\n", encoding="utf-8")
-    found, _, mistakes = strict_yaml.read(path)
-    assert (found, mistakes) == ({"a": value}, [])
+    found = strict_yaml.read(path).value
+    assert found == {"a": value}
     assert type(found["a"]) in ((str,) if isinstance(value, str) else (int, float))
 
 
@@ -235,4 +225,4 @@ def test_plain_decimals_are_numbers_and_quoted_ones_are_text(tmp_path: Path, tex
 def test_every_number_that_python_writes_comes_back(tmp_path_factory: pytest.TempPathFactory, number: float) -> None:
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(f"a: {number!r}\n")
-    assert strict_yaml.read(path)[0] == {"a": number}
+    assert strict_yaml.read(path).value == {"a": number}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tacshade_edge.cli.entry import leave
 from tacshade_edge.daemon import hand as process
-from tacshade_edge.daemon.app import App, Siblings
+from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.hand import Lines
 from tacshade_edge.daemon.supervisor import Supervisor
 from tacshade_edge.factories import calibrations
@@ -26,7 +26,7 @@ def work(part: Document | Hand) -> int:
         process.run(part, lines)
         return 0
     name = part.settings.sensor_id
-    app = App(part, rings[ring[name]], calibrations.load_calibration(part), Siblings(lines.fingers.get(name)))
+    app = App(part, rings[ring[name]], calibrations.load_calibration(part), lines.fingers.get(name))
     signal.signal(signal.SIGTERM, lambda *_: app.stop())
     app.run()
     return 0

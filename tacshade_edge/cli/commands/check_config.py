@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     if hand := load_hand(args.file):
         try:
             links.check_broker_files(hand.common)
-            links.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
+            links.make_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
         except ConfigError as error:
             mistakes.append(str(error))
     if mistakes := list(dict.fromkeys(mistakes)):

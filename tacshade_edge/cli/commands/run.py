@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_config
-from tacshade_edge.daemon.app import ALONE, App, Siblings
+from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.shared_line import SharedLine
+    from tacshade_edge.daemon.hand import FingerLine
+    from tacshade_edge.daemon.robot import SharedLine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,14 +30,14 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     documents = load_all(args.config)
     if not documents[0].several:
-        return _run_sensor(documents[0], ALONE)
+        return _run_sensor(documents[0])
     from tacshade_edge.daemon import hand as hand_process  # only a hand or several sensors need it
 
     hand = load_hand(args.config)
     lines = hand_process.Lines(hand.fingers if hand else ())
     shared_lines: dict[str, SharedLine] = {}
     if any(document.settings.serial for document in documents):
-        from tacshade_edge.daemon.shared_line import share_lines
+        from tacshade_edge.daemon.robot import share_lines
 
         shared_lines = share_lines(documents)
 
@@ -46,15 +47,15 @@ def run(args: argparse.Namespace) -> int:
             hand_process.run(part, lines)
             return EXIT_STOPPED
         name = part.settings.sensor_id
-        return _run_sensor(part, Siblings(lines.fingers.get(name), shared_lines.get(name)))
+        return _run_sensor(part, lines.fingers.get(name), shared_lines.get(name))
 
     return Supervisor(documents, hand, lines.end).run(work)
 
 
-def _run_sensor(document: Document, siblings: Siblings) -> int:
+def _run_sensor(document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None) -> int:
     sources.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
-    app = App(document, sources.make_source(document.settings.source), calibration, siblings)
+    app = App(document, sources.make_source(document.settings.source), calibration, hand_line, robot_line)
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:

@@ -15,7 +15,7 @@ from tacshade_edge.core.calibration.indenters import Indenter, planned_presses, 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.load import as_struct
+from tacshade_edge.settings.load import convert
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.tables.presses import HEADER
@@ -46,16 +46,16 @@ class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     """Read INDENTERS.yaml: name to (``FILE:LINE``, entry). Raises ConfigError, ``FILE:LINE: NAME.key: found …``."""
-    value, found, mistakes = strict_yaml.read(path)
-    strict_yaml.refuse(mistakes)
-    if not isinstance(value, dict):
+    file = strict_yaml.read(path)
+    found = file.found
+    if not isinstance(file.value, dict):
         raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected indenter names")
     entries = {}
-    for name in value:
+    for name in file.value:
         where = f"{path}:{found[name,].line}"
         if name == "ball":
             raise ConfigError(f"{where}: ball: found an entry, expected none, because this name is built in")
-        entry = as_struct(path, value, found, IndenterEntry, at=(name,))
+        entry = convert(file, IndenterEntry, at=(name,))
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:
                 raise ConfigError(f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}")
