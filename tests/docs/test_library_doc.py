@@ -100,14 +100,8 @@ def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert [line.split(maxsplit=2)[::2] for line in printed] == [[str(k), f"({rows}, {cols})"] for k in (0, 1)]
     (code,) = re.findall(r"```python\n(.*?)```", REPLAY, re.DOTALL)
     executed(code, "replay.md", made, monkeypatch)
-    said = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert [(int(line[0]), line[1]) for line in said] == [
-        *((0, "deepest"), (1, "deepest"), (0, "0"), (1, said[3][1])),
-        *((0, "dragged"), (1, "dragged")),
-    ]
-    assert float(said[0][2]) == 0 < 1 < float(said[1][2])
-    assert (said[2][3], said[3][3]) == ("0", "1")
-    assert float(said[4][5]) == 0 < float(said[5][5])
+    said = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
+    assert [what for _, what in said[:2] + said[4:]] == ["deepest", "deepest", "dragged", "dragged"]
 
 
 def test_the_formula_from_a_cell_to_millimetres(made: Path) -> None:

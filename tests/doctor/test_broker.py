@@ -55,12 +55,7 @@ def test_nothing_listens() -> None:
     assert finding.found == f"127.0.0.1:{port}: connection refused: nothing is listening"
     assert "sudo systemctl enable --now mosquitto" in finding.fix
     assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
-
-
-def test_a_name_without_an_address() -> None:
-    finding = trouble(1883, host="no-such-broker.invalid")
-    assert finding.found.startswith("no-such-broker.invalid:1883: the name does not resolve")
-    assert finding.fix.endswith("getent hosts no-such-broker.invalid")
+    assert trouble(1883, host="no-such-broker.invalid").fix.endswith("getent hosts no-such-broker.invalid")
 
 
 @broker_test  # for its seconds of waiting

@@ -154,17 +154,6 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
 
 
 @needs_broker
-def test_quiet_names_each_fault_with_its_fix(folder: Path, start: Start) -> None:
-    (folder / "password").write_text("wrong\n")
-    cv2.imwrite(str(folder / "black.png"), 0 * FREE)
-    with Broker(folder, users={"hand": "right"}) as broker:
-        source, mqtt = "kind: files, path: black.png, loop: true", ", username: hand, password_file: password"
-        _, lines = start(settings(folder, broker.port, source, mqtt=mqtt), "-q")
-        wait_until(lambda: told(lines, "Not authorized; to fix it: is the password right?"), 20)
-        wait_until(lambda: told(lines, "source unusable: ", "black", "to fix it: switch the sensor's light on"), 20)
-
-
-@needs_broker
 def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
     for path in sorted((folder / "images").iterdir())[3:]:
         path.unlink()
