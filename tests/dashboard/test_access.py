@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from http import HTTPStatus
-from pathlib import Path
 
 import pytest
-from support.dashboard_process import dashboard
-from support.page_server import TOKEN, client_through, echo, get, running, tcp, websocket
+from support.page_server import TOKEN, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tacshade_edge.dashboard import server
 from tacshade_edge.dashboard.access import PERIOD_S, WRONG_MAX, Login, refusal
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import wait_until
 
 WORD = "a-token-of-this-test"
 WRONG, TOO_MANY = HTTPStatus.UNAUTHORIZED, HTTPStatus.TOO_MANY_REQUESTS
-NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
 @pytest.mark.parametrize(
@@ -94,43 +89,6 @@ async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
         async with websocket(port, additional_headers={"Cookie": cookie}) as page:
             await page.send(b"hello")
             assert await page.recv() == b"hello"
-
-
-@pytest.mark.broker
-@NEEDS_MOSQUITTO
-def test_a_page_that_may_only_look_asks_for_nothing(tmp_path: Path) -> None:
-    """The page's own client goes on seeing; what it publishes reaches nobody, and ends its connection."""
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}", "--token-file", str(tmp_path / "token")) as address,
-        Subscriber(broker.port) as seen,
-    ):
-        assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
-        token = address.partition("#")[2]
-        viewer = client_through(address.partition("login#")[0])
-        viewer.ws_set_options(path="/mqtt", headers=lambda defaults: {**without_origin(defaults), **bearer(token)})
-        received: list[bytes] = []
-        ended: list[int] = []
-        viewer.on_connect = lambda client, *_: client.subscribe("tacshade/#", qos=1)
-        viewer.on_subscribe = lambda *_: seen.publish("tacshade/a/state", b"online")
-        viewer.on_message = lambda _client, _data, message: received.append(message.payload)
-        viewer.on_disconnect = lambda *_: ended.append(1)
-        viewer.loop_start()
-        wait_until(lambda: received == [b"online"], 10, "the state")
-        assert ended == []
-        viewer.publish("tacshade/a/req/reference", b"{}", qos=1)
-        wait_until(lambda: bool(ended), 10, "closed")
-        viewer.loop_stop()
-        assert {message.topic for message in seen.messages} == {"tacshade/a/state"}
-
-
-def without_origin(headers: dict[str, str]) -> dict[str, str]:
-    """Paho tells an https origin whatever it connects to."""
-    return {name: value for name, value in headers.items() if name != "Origin"}
-
-
-def bearer(token: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {token}"}
 
 
 @pytest.fixture

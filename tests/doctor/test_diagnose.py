@@ -81,7 +81,6 @@ def test_without_the_camera_the_calibration_is_read_and_a_check_that_breaks_is_o
         ("sensor_id: left\n", "ok", ", sensor left", True, True),
         ("sensor: a\n", "fault", ":1: sensor: ", False, False),
         ("source: {kind: simulated}\nmqtt: {ca_file: no.pem}\n", "fault", ":2: mqtt.ca_file: ", True, False),
-        ("mqtt: {ca_file: s.yaml}\n", "fault", ":1: mqtt: ", True, False),
         ("mqtt: {username: a, password_file: none}\n", "fault", ":1: mqtt.password_file: ", True, False),
         (None, "fault", "", False, False),
     ],

@@ -91,6 +91,7 @@ def test_a_token_is_told_once_and_kept(tmp_path: Path) -> None:
     with started(*words) as (line, _):
         assert f"/login#{(tmp_path / 't').read_text().strip()} for the broker" in line
         assert f", read-only, token in {tmp_path / 't'}; press Ctrl-C to stop" in line
+    assert (tmp_path / "t").stat().st_mode & 0o777 == 0o600
     with started(*words, "--allow-control") as (line, child):
         assert line.startswith("dashboard: https://")
         assert "#" not in line
