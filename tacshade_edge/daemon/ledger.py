@@ -50,26 +50,22 @@ class FrameLedger:
             self._open.add(seq)
             self._counts.captured += 1
 
-    def undecodable(self) -> None:
-        """Record that something arrived that was no frame."""
+    def passed(self, outcome: FrameOutcome) -> None:
+        """Record a frame that comes no further: it cannot be decoded, or nobody needs it."""
         with self._changed:
             if not self._closed:
                 self._counts.captured += 1
-                self._counts.failed += 1
-
-    def unasked(self) -> None:
-        """Record that a frame arrived that nobody needs and nothing looks at."""
-        with self._changed:
-            if not self._closed:
-                self._counts.captured += 1
-                self._counts.unasked += 1
+                self._count(outcome)
 
     def settle(self, seq: int, outcome: FrameOutcome) -> None:
         with self._changed:
             if not self._closed:
                 self._open.remove(seq)
-                setattr(self._counts, outcome, getattr(self._counts, outcome) + 1)
+                self._count(outcome)
                 self._changed.notify_all()
+
+    def _count(self, outcome: FrameOutcome) -> None:
+        setattr(self._counts, outcome, getattr(self._counts, outcome) + 1)
 
     def close(self, timeout_s: float) -> int:
         """Wait for the open frames, record the rest as failed and nothing after that; return how many failed."""

@@ -194,7 +194,7 @@ class Grab:
             except DecodeError as error:
                 _log.debug("%s", error)
                 self.attempts += 1
-                self._ledger.undecodable()
+                self._ledger.passed("failed")
                 if self._reported is None:  # before any frame it is the source's state; in a stream it only counts
                     self._change_state(SourceState("away", error.reason))
                 continue
@@ -218,13 +218,13 @@ class Grab:
             if (superseded := self._mailbox.put(frame)) is not None:
                 self._ledger.settle(superseded.seq, "superseded")
         else:
-            self._ledger.unasked()
+            self._ledger.passed("unasked")
         return True
 
     def _skip(self) -> bool:
         """Skip the next frame; False at the end."""
         if went_on := self._source.skip():
-            self._ledger.unasked()
+            self._ledger.passed("unasked")
         return went_on
 
     def _change_state(self, state: SourceState) -> None:

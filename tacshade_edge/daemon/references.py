@@ -32,29 +32,6 @@ PERIOD_S = 60.0  # what the reference follows changes over minutes and years
 GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
 
 
-class ReferenceCollector:
-    """Collects the images of the next frames until `outcome` has all, or the reason that they cannot be used."""
-
-    def __init__(self) -> None:
-        self.outcome: list[U8] | Reason | None = None
-        self._images: list[U8] = []
-
-    def see(self, frame: Frame, result: Reconstruction) -> None:
-        if self.outcome is not None:
-            return
-        if not result.valid:
-            found = f"frame {frame.seq}: found an invalid frame ({result.reason})"
-            expected = "expected a valid frame of an untouched sensor"
-            self.outcome = Reason(ReasonCode.FRAME_INVALID, f"{found}, {expected}")
-        elif result.contact:
-            found = f"frame {frame.seq}: found a contact {result.depth_max_mm:.2f} mm deep"
-            self.outcome = Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected no contact")
-        else:
-            self._images.append(frame.image)
-            if len(self._images) == REFERENCE_FRAMES:
-                self.outcome = self._images
-
-
 class UntouchedFrames:
     """Ten frames of a sensor at rest once per `PERIOD_S` of the frames' time; a touched, invalid or doubtful frame ends
     them. The reconstruct thread passes in every frame, the main thread takes the result.
@@ -174,8 +151,9 @@ class References(FrameObserver):
         self._lock: FolderLock | None = None
         self._unowned: Reason | None = None
         self.frames = UntouchedFrames()
-        self._collector: ReferenceCollector | None = None
         self._request: tuple[Reply, float] | None = None  # and its deadline
+        self._images: list[U8] | None = None  # what it collects, in the reconstruct thread
+        self._collected: list[U8] | Reason | None = None
         self._looks = self._renewals = 0
         self._state: State = "waiting"
         self._reason: Reason | None = None
@@ -200,24 +178,36 @@ class References(FrameObserver):
             reply(Reason(ReasonCode.BUSY, "busy: already taking a reference"))
             return
         self._request = reply, time.monotonic() + REFERENCE_TIMEOUT_S
-        self._collector = ReferenceCollector()
+        self._collected, self._images = None, []
 
     def need(self) -> Need:
-        return Need.CONTACT if self._collector is None else Need.DEPTH
+        return Need.CONTACT if self._images is None else Need.DEPTH
 
     def see(self, seen: FrameResult) -> None:
         self.frames.see(seen.frame, seen.reconstruction)
-        if (collector := self._collector) is not None and seen.reconstruction is not None:
-            collector.see(seen.frame, seen.reconstruction)
+        images, result = self._images, seen.reconstruction
+        if images is None or result is None or self._collected is not None:
+            return
+        what = f"frame {seen.frame.seq}: found"
+        if not result.valid:
+            text = f"{what} an invalid frame ({result.reason}), expected a valid frame of an untouched sensor"
+            self._collected = Reason(ReasonCode.FRAME_INVALID, text)
+        elif result.contact:
+            text = f"{what} a contact {result.depth_max_mm:.2f} mm deep, expected no contact"
+            self._collected = Reason(ReasonCode.FRAME_IN_CONTACT, text)
+        else:
+            images.append(seen.frame.image)
+            if len(images) == REFERENCE_FRAMES:
+                self._collected = images
 
     def poll(self) -> None:
-        if self._request is not None and self._collector is not None:
-            (reply, deadline_s), images = self._request, self._collector.outcome
+        if self._request is not None:
+            (reply, deadline_s), images = self._request, self._collected
             if images is None and time.monotonic() >= deadline_s:
                 text = f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
                 images = Reason(ReasonCode.TIMEOUT, text)
             if images is not None:
-                self._request = self._collector = None
+                self._request = self._images = None
                 reply(images if isinstance(images, Reason) else self._taken(images))
         if (frames := self.frames.take()) is not None:
             self.follow(frames)

@@ -162,27 +162,6 @@ def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[st
         seen.wait_for_last("tacshade/left/state", b"stopped")
 
 
-@pytest.mark.broker
-@needs_broker
-def test_a_broker_with_password_and_tls_is_named_by_a_settings_file(
-    tmp_path: Path, given: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "password").write_text("secret\n")
-    with Broker(tmp_path, users={"hand": "secret"}, tls=True) as broker:
-        config = tmp_path / "config.yaml"
-        access = f"username: hand, password_file: password, ca_file: {broker.ca}"
-        config.write_text(f"mqtt: {{host: 127.0.0.1, port: {broker.port}, {access}}}\n")
-        assert main([*given, "--config", str(config)]) == 0
-        assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
-        (tmp_path / "password").write_text("wrong\n")
-        assert main([*given, "--config", str(config)]) == 1
-        err = capsys.readouterr().err
-        assert "rejects the connection: Not authorized; expected a connection to the broker at" in err
-    (tmp_path / "password").unlink()
-    assert main([*given, "--config", str(config)]) == 78
-    assert "config.yaml:1: mqtt.password_file: " in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_a_broker_that_is_away_is_one_line(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     port = free_port()

@@ -9,19 +9,16 @@ import struct
 import threading
 import time
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster, StitchedMap, Stitcher
 from tacshade_edge.daemon import session as map_publisher
 from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
@@ -30,7 +27,6 @@ from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session, thi
 from tacshade_edge.daemon.session_worker import Sessions
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -43,7 +39,6 @@ from tacshade_edge.protocol.results import (
 from tacshade_edge.protocol.wire import CloudMessage, decode
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.stitching.stitch_file import StitchFile, open_session
-from tacshade_edge.studies.stitch.presses import read_recording
 from tacshade_edge.types import Frame, Need, Pose, Reconstruction
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.painted_sensor import painted_calibration
@@ -403,57 +398,6 @@ def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
         robot.show(ball, t_ns=time.monotonic_ns() + k * 33_000_000)
     assert status(robot).presses == 1
     robot.end()
-
-
-def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path, ball: Reconstruction) -> None:
-    robot = Robot(tmp_path, automatic=True)
-    robot.show(ball)
-    begun_ns = time.monotonic_ns()
-    for name in ("a", "b"):  # without lifting
-        robot.ask("BEGIN", name)
-        for k in range(12):
-            robot.show(ball, t_ns=begun_ns + k * 33_000_000)
-        assert status(robot).presses == 1
-        robot.ask("END")
-        begun_ns += 12 * 33_000_000
-    robot.end()
-
-
-def test_a_session_has_the_presses_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever thread asks for a frame's pose first, and however the robot's clock and poses change meanwhile."""
-    line = SerialRobot(SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None)
-    asked: Counter[int] = Counter()
-
-    def at(t_ns: int) -> tuple[Pose, int] | None:
-        asked[t_ns] += 1
-        unknown = (t_ns // 20_000_000 + asked[t_ns]) % 2
-        return None if unknown else (Pose(t_ns, asked[t_ns], 0, 20, 0, 1, 0, 0), 100)
-
-    monkeypatch.setattr(line.motion, "at", at)
-    robot = Robot(tmp_path, automatic=True, poses=line)
-    images = [
-        unloaded(),
-        *[picture for k in range(6) for picture in [pressed("ball", 2 + k % 2).image] * 20 + [unloaded()]],
-    ]
-    frames = [Frame(k, 1 + k * 20_000_000, 0, image) for k, image in enumerate(images)]
-    recorded = [line.with_interpolated_pose(frame) for frame in frames[: len(frames) // 2]]
-    reconstructor = make_reconstructor(calibrated(), PROFILES["fast"])
-    for frame in frames:
-        robot.sessions.see(FrameResult(line.with_pose(frame), calibrated(), reconstructor.step(frame)))
-        if frame.seq == 0:
-            robot.ask("BEGIN", "pad")
-    missed = status(robot).missed
-    robot.end()
-    recorded += [line.with_interpolated_pose(frame) for frame in frames[len(recorded) :]]
-    played = (SimpleNamespace(name="", frame=frame) for frame in recorded)
-    read: Any = SimpleNamespace(read=lambda: next(played, None))
-    presses = [press for press in read_recording(calibrated(), PROFILES["fast"], read, "") if not press.skipped]
-    _, added = StitchFile.resume(tmp_path / "pad")
-    assert (len(added), missed) == (len(presses), 6 - len(presses))
-    assert 0 < missed < 6
-    for (points, base_T_sensor), press in zip(added, presses, strict=True):
-        np.testing.assert_array_equal(points.points_mm, press.points.points_mm)
-        assert base_T_sensor.seven() == press.base_T_sensor.seven()
 
 
 def test_a_deferred_map_is_published_though_nothing_more_comes(

@@ -119,11 +119,6 @@ def test_a_hand_has_its_own_broker_settings_and_each_finger_its_place(tmp_path: 
     assert hand.common.where("mqtt", "username") == f"{path}:2: mqtt.username"
 
 
-def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
-    assert load_hand(write(tmp_path, TWO)) is None
-    assert load_hand(write(tmp_path, f"hand_id: null\n{TWO}")) is None
-
-
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
