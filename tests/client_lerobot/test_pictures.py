@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -137,12 +138,8 @@ def test_what_is_not_of_the_frame_gives_no_picture() -> None:
         assert made.add(each) is None  # the shear has another grid
     assert made.passed_over == 5
     assert [made.add(each) is None for each in (height, shear, contact)] == [True, True, False]
-    torn = bump(9, 0.0, 0.0, 0.0)
-    invalid = messages.encode_contact(type(torn)(**{**fields(torn), "valid": False, "reason": TORN}), fps=1.0)
-    assert made.add(message("contact", invalid)) is None
-
-
-TORN = Reason(ReasonCode.TORN, "torn")
+    torn = replace(bump(9, 0.0, 0.0, 0.0), valid=False, reason=Reason(ReasonCode.TORN, "torn"))
+    assert made.add(message("contact", messages.encode_contact(torn, fps=1.0))) is None
 
 
 @pytest.mark.parametrize(
@@ -175,7 +172,3 @@ def test_a_sensor_that_is_not_there_is_a_connection_error(monkeypatch: pytest.Mo
         with pytest.raises(ConnectionError, match="no picture within 100 ms; expected a calibrated sensor"):
             made.connect()
     assert not made.is_connected
-
-
-def fields(result: Any) -> dict[str, Any]:
-    return {name: getattr(result, name) for name in result.__slots__}

@@ -84,14 +84,11 @@ def table(folder: Path, text: str) -> Path:
     return path
 
 
-def test_cells_may_be_empty(tmp_path: Path) -> None:
+def test_labels_have_columns_in_any_order_and_empty_cells(tmp_path: Path) -> None:
     one, two = read_labels(table(tmp_path, LABELS_HEADER + "a.png,1.5,,,-0.25,2\nb.png,,,,,\n"), tmp_path / "images")
     assert one.path == tmp_path / "images" / "a.png"
     assert one.known == {"depth_mm": 1.5, "shear_x_mm": -0.25, "shear_y_mm": 2.0}
     assert two.known == {}
-
-
-def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> None:
     (one,) = read_labels(table(tmp_path, "group;force_z_n;image\np1;-2,5;a.png\n"), tmp_path)
     assert one.known == {"force_z_n": -2.5}
     assert (one.group, one.where) == ("p1", f"{tmp_path}/labels.csv:2")
