@@ -183,9 +183,12 @@ def test_nothing_may_be_missing(tmp_path: Path, content: Content) -> None:
         with pytest.raises(ConfigError, match=name):
             calibration_file.load(written(tmp_path / "odd.npz", meta, dict(content.arrays)))
     calibration_file.load(written(tmp_path / "whole.npz", dict(content.meta), dict(content.arrays)))
+    later = {**content.meta, "version": calibration_file.VERSION + 1}
+    with pytest.raises(ConfigError, match=r"later\.npz: found calibration version \d+, expected \d+; calibrate again"):
+        calibration_file.load(written(tmp_path / "later.npz", later, dict(content.arrays)))
 
 
-@pytest.mark.parametrize("version", ["../../x\x1b[31m" + "a" * 5000, 6.5, True, calibration_file.VERSION + 1])
+@pytest.mark.parametrize("version", ["../../x\x1b[31m" + "a" * 5000, 6.5, True])
 def test_a_version_that_is_no_number_names_no_file(tmp_path: Path, version: object) -> None:
     inputs = Inputs(Sensor(20.0, 30.0, 50.0, "bright"), (FREE,))
     calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
