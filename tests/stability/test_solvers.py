@@ -77,9 +77,7 @@ def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["constant 0", "white spike", "step, axis 0", "checkerboard 2 px", "noise 0", "subnormal noise"]
-)
+@pytest.mark.parametrize("name", ["white spike", "noise 0"])
 def test_ten_thousand_iterations_of_the_paper_stay_finite(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     grey = normalise(EXTREME_MAPS[name](64, 64), np.ones((64, 64), bool)).astype(np.float64)
     tops = []
@@ -141,13 +139,7 @@ def test_any_map_is_borne(image: F32, weight: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "weight"),
-    [
-        *((name, 0.1) for name in ("noise 0", "checkerboard 2 px", "step, axis 0", "white spike", "smallest step")),
-        ("step, axis 0", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("name", "weight"), [("noise 0", 0.1), ("step, axis 0", 1.0)])
 def test_ten_thousand_iterations_stay_near_those_of_float64(
     name: str, weight: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tacshade_edge.core.touch import learning
 from tacshade_edge.core.touch.answer import predict
 from tacshade_edge.core.touch.learning import LearntTouch, learn
 from tacshade_edge.types import F32, F64, I64
@@ -13,6 +14,12 @@ NAMES = ("depth_mm", "tilt_x_deg")
 NOISE = 0.05
 
 pytestmark = pytest.mark.slow  # a model each: seconds of a core
+
+
+@pytest.fixture(autouse=True)
+def few_widths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each width costs a fit."""
+    monkeypatch.setattr(learning, "WIDTHS", (1.0, 2.0))
 
 
 def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
@@ -47,7 +54,7 @@ def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
 
 
 def test_what_the_frames_do_not_show_is_not_answered() -> None:
-    features, labels = table(200, 4)
+    features, labels = table(120, 4)
     labels[:, 1] = np.random.default_rng(5).uniform(-5, 5, len(labels))
     found = learnt(features, labels)
     assert [report.seen for report in found.reports] == [True, False]
@@ -76,12 +83,12 @@ def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
 
 def test_frames_of_one_press_are_held_out_together() -> None:
     """Each press four times, a little other: by single frames the error would look like the label's repetition."""
-    features, labels = table(60, 9, noise=0.3)
+    features, labels = table(40, 9, noise=0.3)
     random = np.random.default_rng(10)
-    again = np.repeat(features, 4, axis=0) + random.normal(scale=0.02, size=(240, 300)).astype(np.float32)
+    again = np.repeat(features, 4, axis=0) + random.normal(scale=0.02, size=(160, 300)).astype(np.float32)
     repeated = np.repeat(labels, 4, axis=0)
     alone = learnt(again, repeated).reports[0].error
-    together = learnt(again, repeated, np.repeat(np.arange(60), 4)).reports[0].error
+    together = learnt(again, repeated, np.repeat(np.arange(40), 4)).reports[0].error
     assert alone < 0.1 < 0.2 < together
 
 
