@@ -19,7 +19,7 @@ from tacshade_edge.core.image.preprocess import halved_calibration
 from tacshade_edge.core.image.white import halved
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor, runtime
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score_cloud
 from tacshade_edge.studies.evaluate.work import (
@@ -227,6 +227,7 @@ def weigh(settings: Sequence[Setting], calibration: Calibration, images: Sequenc
 
 def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     setting, calibration, images = task
+    runtime()  # its import does not count
     with contextlib.suppress(OSError):  # if a kernel cannot reset the peak, that of the imports is hardly higher
         Path("/proc/self/clear_refs").write_text("5")
     before = _peak_kib()
