@@ -105,28 +105,23 @@ class Setting:
     half: bool
     fitted: bool
 
-    def calibration(self, whole: Calibration) -> Calibration:
-        """The calibration that it runs with."""
-        made = halved_calibration(whole) if self.half else whole
-        return made if self.fitted else replace(made, fitted={})
-
     def image(self, image: U8) -> U8:
         """The image that its camera would take."""
         return halved(image) if self.half else image
 
     def make(self, whole: Calibration) -> Reconstructor:
         """Make its reconstructor."""
-        return make_reconstructor(self.calibration(whole), PROFILES[self.profile])
+        calibration = halved_calibration(whole) if self.half else whole
+        return make_reconstructor(
+            calibration if self.fitted else replace(calibration, fitted={}), PROFILES[self.profile]
+        )
 
     def outputs(self, calibration: Calibration) -> tuple[str, ...]:
         """The outputs that it can have."""
-        learned = PROFILES[self.profile].network is not None
-        return tuple(
-            name
-            for name in OUTPUTS
-            if name in ("contact", "height", "cloud")
-            or (learned and (name != "touch" or self.profile in calibration.touch))
-        )
+        missing = set() if self.profile in calibration.touch else {"touch"}
+        if PROFILES[self.profile].network is None:
+            missing |= {"shear", "sigma"}
+        return tuple(name for name in OUTPUTS if name not in missing)
 
 
 def settings(profiles: Sequence[str], calibration: Calibration) -> tuple[Setting, ...]:
@@ -288,12 +283,8 @@ class Timed:
         for name in self._outputs if result is not None and result.contact else ():
             assert result is not None
             OUTPUTS[name].encode(result)
-            mark(_encoding(name))
+            mark(f"encode {name}")
         return taken
-
-
-def _encoding(output: str) -> str:
-    return f"encode {output}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -437,7 +428,7 @@ def _times(timed: Sequence[Timed], outputs: Sequence[str]) -> Times:
     need = functools.reduce(operator.or_, (OUTPUTS[name].need for name in outputs))
     one = timed[-1 if Need.TOUCH in need else 0]
     unasked = {part for part, flag in (("shear", Need.SHEAR), ("sigma", Need.SIGMA)) if flag not in need}
-    unasked |= {_encoding(name) for name in OUTPUTS if name not in outputs}
+    unasked |= {f"encode {name}" for name in OUTPUTS if name not in outputs}
     taken = [sum(ms for part, ms in frame.items() if part not in unasked) for frame in one.contact] or [math.nan]
     idle = [sum(frame.values()) for frame in one.idle] or [math.nan]
     p50, p99 = np.percentile(taken, (50, 99))
