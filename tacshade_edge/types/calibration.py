@@ -118,7 +118,7 @@ class TouchModel:
                 raise ValueError(f"touch model: {name} has a value that is not finite")
             for letter, size in zip(letters, array.shape, strict=True):
                 if sizes.setdefault(letter, size) != size:
-                    raise ValueError(f"touch model: {name} is {array.shape}, expected sizes that fit the other arrays")
+                    raise ValueError(f"touch model: {name} is {array.shape}, which does not fit the other arrays")
         quantities = sizes["Q"]
         if sizes["+"] != sizes["m"] + sizes["M"] or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
             raise ValueError(f"touch model: found the sizes {sizes}, expected some that fit each other")
