@@ -99,10 +99,16 @@ class Effort:
 FULL = Effort(domes=52, held_out=4, skins=13, views=2, steps=1500)
 MOST_UNEXPLAINED = 0.75
 """Greatest part of the reference's pattern (RMS) that a print may leave unexplained."""
+UNEXPLAINED_ALONE = 0.4
+"""The same without presses, which would show whether the networks of a wrong print are worse."""
+PARTS = (0.3, 0.6, 1.0)
+"""Parts of the way from the shipped weights to the trained ones. Weights between them keep what the shipped network
+knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022). Presses choose among
+them; the first is taken without."""
 LIKELY = 1.15
 """A kind of print that leaves at most this many times the best one's part unexplained belongs to the cloud."""
 LEAST_GAIN = 0.15
-"""Part by which a network must be better on the twin where no presses judge it: a twin flatters what it trained."""
+"""Part by which a network, fully trained, must be better on the twin where no presses judge it: a twin flatters it."""
 MOST_WORKERS = 4
 _SAY_S = 5.0
 _SLOW_S = 1800.0
@@ -182,6 +188,10 @@ def fit(
         why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
         return FitResult(calibration, (found,))
+    if not presses and prints[0].residual > UNEXPLAINED_ALONE:
+        doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
+        found = f"the likeliest print leaves {doubt}: nothing is fitted without presses that judge the fit"
+        return FitResult(calibration, (found,), advice=_advice(Mechanics()))
     prints = [each for each in prints if each.residual <= LIKELY * prints[0].residual]
     say("fit: comparing presses with simulated skins" if presses else "fit: simulating")
     mechanics = likely_mechanics(calibration, prints[0], presses)
@@ -298,27 +308,43 @@ def _skin_radii(calibration: Calibration) -> float:
 def _judged(
     calibration: Calibration, presses: Sequence[KnownPress], parts: Sequence[Frames], name: str, weights: F32
 ) -> tuple[FittedNetwork, NetworkReport]:
+    """Judge the weights, or with presses the best of `PARTS` of the way to them."""
     maps = training.maps_of(calibration, parts, name)
     unit_mm = calibration.geometry.skin_radius_mm * _skin_radii(calibration)
-    shipped, network = TorchNetwork(name), TorchNetwork(name)
-    network.load(weights)
-    shipped_mm, fitted_mm = (unit_mm * training.error(each, maps) for each in (shipped, network))
     (fold, cells), channels = network_size(name), weights_of(network_files(name)[1])[0].shape[0]
     correction = np.zeros((channels, cells // fold, cells // fold), np.float32)
-    made = FittedNetwork(shipped_layout(name), weights, correction, 0, fitted_mm, shipped_mm)
-    if name == SHEAR or not presses:
-        return made, NetworkReport(name, shipped_mm, fitted_mm)
-    before, after = (
-        on_presses(calibration, PROFILES[name], load_network(name, each), presses) for each in (None, made)
-    )
-    if not before.errors_mm:
-        return made, NetworkReport(name, shipped_mm, fitted_mm)
-    if after.presses < before.presses:
-        return made, NetworkReport(name, shipped_mm, fitted_mm, before.mean_mm)
-    made = FittedNetwork(
-        made.layout, weights, correction, after.presses, after.mean_mm, before.mean_mm, after.error_scale
-    )
-    return made, NetworkReport(name, shipped_mm, fitted_mm, before.mean_mm, after.mean_mm)
+    network = TorchNetwork(name)
+    shipped, shipped_mm = network.flat(), unit_mm * training.error(network, maps)
+
+    def part_of_the_way(part: float) -> FittedNetwork:
+        made = shipped + np.float32(part) * (weights - shipped)
+        network.load(made)
+        off_mm = unit_mm * training.error(network, maps)
+        return FittedNetwork(shipped_layout(name), made, correction, 0, off_mm, shipped_mm)
+
+    before = None
+    if name != SHEAR and presses:
+        before = on_presses(calibration, PROFILES[name], load_network(name, None), presses)
+    if before is None or not before.errors_mm:
+        whole = part_of_the_way(1.0)
+        made = whole if name == SHEAR else part_of_the_way(PARTS[0])
+        return made, NetworkReport(name, shipped_mm, whole.error_mm)
+    tried = []
+    for part in PARTS:
+        made = part_of_the_way(part)
+        after = on_presses(calibration, PROFILES[name], load_network(name, made), presses)
+        found_mm = after.mean_mm if after.presses >= before.presses else None
+        report = NetworkReport(name, shipped_mm, made.error_mm, before.mean_mm, found_mm)
+        if found_mm is not None:
+            made = replace(
+                made,
+                held_out=after.presses,
+                error_mm=found_mm,
+                shipped_error_mm=before.mean_mm,
+                error_scale=after.error_scale,
+            )
+        tried.append((made, report))
+    return min(tried, key=lambda each: math.inf if each[1].fitted_presses_mm is None else each[1].fitted_presses_mm)
 
 
 def _words(prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, float]) -> tuple[str, ...]:

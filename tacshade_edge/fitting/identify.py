@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from types import MappingProxyType
 from typing import Any
 
@@ -192,6 +193,10 @@ WHITE_TIP_DEVIATIONS = np.array((0.35, 0.015, 0.03, 0.02))
 how long white pins are."""
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
 STEPS = np.array((0.06, 0.012, 0.012, 0.015))
+SIZES = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2), (0.35, 0.42, 0.5)))
+"""Sizes from which a fit may start: those that explain the reference best are followed, so that it does not end in a
+minimum of another print."""
+STARTS, FINISHED = 2, 3
 SHARPER = (1.0, 0.5, 0.0)
 """Smoothing of the white in the steps of a fit, in cells: a smooth map has one minimum, a sharp one the best."""
 ALIKE_CELLS = 10
@@ -403,23 +408,27 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     for kind in KINDS:
         if kind.white_tips and len(tips) > 12:
             problem = Problem(white, reference, light, base, kind, Tips(tips))
-            starts, free, rounds = [np.array((0.6, 0.25, 0.25, 0.4))], [0, 1, 2], 3
+            starts, free = [np.array((0.6, 0.25, 0.25, 0.4))], [0, 1, 2]
         elif lattice is not None and not kind.white_tips:
             problem = Problem(white, reference, light, base, kind, None)
             starts = [np.concatenate(((length, 0.35, 0.28, 0.45), lattice.values)) for length in (1.1, 1.6, 2.0)]
-            free, rounds = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10], 4
+            free = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10]
         else:
             continue
         for start in starts:
             start[list(known)] = list(known.values())
-        free = [k for k in free if k not in known]
-        rough, n = problem.against(2.0), len(starts[0])
-        fits = [levenberg(rough, each, free, steps[:n], low[:n], high[:n], rounds) for each in starts]
+        free, n = [k for k in free if k not in known], len(starts[0])
+        rough, finer = problem.against(2.0), problem.against(1.0)
+        starts = [levenberg(rough, each, free, steps[:n], low[:n], high[:n], 4)[0] for each in starts]
+        if not problem.tips:
+            starts += [_resized(each, sizes, known) for each in starts for sizes in SIZES]
+        starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
+        fits = [levenberg(finer, each, free, steps[:n], low[:n], high[:n], 4) for each in starts[:STARTS]]
         begun.append((min(fits, key=lambda fit: fit[1]), problem))
     begun.sort(key=lambda each: each[0][1])
     spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
     made = []
-    for (start, _, _), problem in begun[:2]:
+    for (start, _, _), problem in begun[:FINISHED]:
         n, free = len(start), [k for k in ([0, 1, 2] if problem.tips else range(11)) if k not in known]
         values = start
         for sigma_cells in SHARPER:
@@ -435,6 +444,13 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
             Found(problem.kind, values, covariance, math.sqrt(cost / cells) / spread, problem.tips, base, light)
         )
     return sorted(made, key=lambda each: each.residual)
+
+
+def _resized(values: F64, sizes: Sequence[float], known: Mapping[int, float]) -> F64:
+    """The values with other `PARAMETERS`, but for those that are known."""
+    made = np.append(sizes, values[4:])
+    made[list(known)] = list(known.values())
+    return made
 
 
 def levenberg(
