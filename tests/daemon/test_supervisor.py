@@ -355,7 +355,7 @@ def test_two_daemons(folder: Path, broker: Broker, seen: Subscriber, device: str
             place = f"on {socket.gethostname()}, {holder}"
             for text in (
                 f"thumb.reference.npz: in use by 'sensor left, {holder}'",
-                f"another daemon, {place}, is using tacshade/left; waiting",
+                f"another daemon, {place}, is using tacshade/left",
                 f"/one: in use by 'sensor left, {holder}'",
                 f"serial {device}: in use by another program",
             ):
