@@ -31,7 +31,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> ts.Sensor:
     return ts.load(path)
 
 
-NO_TEXT: list[Any] = [[], 5, b"x", np.zeros((0, 0), np.uint8), object()]
+NO_TEXT: list[Any] = [[], 5, b"x", np.zeros((0, 0), np.uint8), {1}]
 
 
 @pytest.mark.parametrize("value", [*NO_TEXT, None, "", "a\0b", "\ud800", "x" * 300, "a/" * 3000], ids=repr)
