@@ -135,7 +135,8 @@ def test_a_true_table_is_not_refused() -> None:
 
 def test_a_fine_lattice_keeps_its_right_presses() -> None:
     """Where the skin brightens most is elsewhere then."""
-    assert len(with_networks(*fitted("other:53", 20, pitch_mm=1.32)).presses) == 20
+    warnings = with_networks(*fitted("other:53", 20, pitch_mm=1.32)).warnings
+    assert not any(": found x " in warning for warning in warnings)
 
 
 @pytest.mark.parametrize(("factor", "placed", "said"), [(2.0, True, "a diameter"), (0.5, False, "half of the radius")])
