@@ -40,7 +40,10 @@ _KEEPALIVE_S: Final = 10
 _BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
 SILENT_S = 5.0
-"""Silence from the start after which a line is logged: a name may be misspelt."""
+"""Silence from the start after which the sensors that are there are asked for: a name may be misspelt."""
+_STATES: Final = "tacshade/+/state"
+_STATES_S: Final = 1.0
+_THERE_MAX: Final = 64
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
 
 
@@ -68,9 +71,30 @@ def listen(
 ) -> Listener:
     """Receive the messages of any number of sensors or hands (docs/reference/mqtt.md).
 
-    docs/reference/client.md describes the arguments and which messages wait for a slow reader. Raises ConfigError if
-    the arguments can never work, and DeviceError if the broker cannot be reached, does not answer, or rejects the
-    connection or a subscription.
+    On a topic with frames, contacts, touches or health only the newest message waits, so a slow reader skips some
+    (`Listener.passed_over`). All others (``state``, ``status/...``, ``event/slip``, ``info``) wait in order; beyond 256
+    waiting messages the oldest is dropped (`Listener.dropped`). The listener reconnects automatically, with a line in
+    the log (``logging``), and misses the messages published meanwhile.
+
+    Parameters
+    ----------
+    broker : str
+        ``HOST`` or ``HOST:PORT``; the default port is 1883.
+    name : str
+        A sensor's id, ``hand/`` and a hand's id, or ``+`` or ``hand/+`` for all.
+    topics : collection of str
+        Topics below the name: ``height``, ``contact``, ``status/+``. Sensors do not compute topics without subscribers.
+    username, password : str, optional
+        For a broker that requires a login.
+    ca_file : path, optional
+        Certificate of the authority that signed the broker's certificate; turns TLS on.
+
+    Raises
+    ------
+    ConfigError
+        The arguments can never work.
+    DeviceError
+        The broker cannot be reached, does not answer, or rejects the connection or a subscription.
     """
     host, port = host_and_port(broker)
     if not name.removeprefix("hand/") or set(name.removeprefix("hand/")) & set("/#\0"):
@@ -104,9 +128,17 @@ def listen(
 class Listener(Iterator[Message]):
     """An iterator over received messages; `listen` makes it, ``with`` or `close` closes it.
 
-    Iteration waits for the next message without a limit. paho's thread receives messages, and the caller's thread
-    decodes them. `passed_over` counts those that a newer one on their topic replaced, `dropped` those beyond
-    `WAITING_MAX`, `refused` those that no daemon publishes (the log shows the first, and one every 10 s).
+    Iteration waits for the next message without a limit; `get` can wait for a limited time. paho's thread receives
+    messages, and the caller's thread decodes them.
+
+    Attributes
+    ----------
+    passed_over : int
+        Number of messages replaced by a newer one on their topic before they were read.
+    dropped : int
+        Number of messages dropped because too many were waiting.
+    refused : int
+        Number of messages that no daemon publishes (the log shows the first, and one every 10 s).
     """
 
     def __init__(self, client: _Session, host: str, port: int, name: str, topics: Collection[str]) -> None:
@@ -120,7 +152,8 @@ class Listener(Iterator[Message]):
         self._failure: tuple[str, ReasonCode] | None = None
         self._crash: Exception | None = None
         self._next_line_s = 0.0
-        self._silent_s: float | None = time.monotonic() + SILENT_S  # None after the first message, or the line
+        self._ask_s: float | None = time.monotonic() + SILENT_S
+        self._there: dict[str, str] | None = None  # the state of each sensor, asked for after a long silence
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
         client.on_message, client.on_crash = self._on_message, self._on_crash
@@ -135,9 +168,17 @@ class Listener(Iterator[Message]):
         return message
 
     def get(self, timeout_s: float | None = None) -> Message | None:
-        """The next message; None if none arrives in time (unlimited by default) or the listener is closed.
+        """The next message; None if none arrives in time or the listener is closed.
 
-        Raises DeviceError if the thread that receives messages has ended, with its exception as the cause.
+        Parameters
+        ----------
+        timeout_s : float, optional
+            Longest wait; unlimited by default.
+
+        Raises
+        ------
+        DeviceError
+            The thread that receives messages has ended with the exception that is this one's cause.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
@@ -160,12 +201,24 @@ class Listener(Iterator[Message]):
             now_s = time.monotonic()
             if end_s is not None and now_s >= end_s:
                 return
-            if self._silent_s is not None and now_s >= self._silent_s:
-                self._silent_s = None
-                topics = ", ".join(sorted(self._topics))
-                _log.warning("%s: no message on %s so far; expected the id of a sensor or hand", self._where, topics)
-            ends_s = [at_s for at_s in (end_s, self._silent_s) if at_s is not None]
+            if self._ask_s is not None and now_s >= self._ask_s:
+                self._name_those_there(now_s)
+            ends_s = [at_s for at_s in (end_s, self._ask_s) if at_s is not None]
             self._came.wait(min(ends_s) - now_s if ends_s else None)
+
+    def _name_those_there(self, now_s: float) -> None:
+        """After a silence from the start, ask for the sensors' states; a second later, log them. Lock held."""
+        if self._there is None:
+            self._there, self._ask_s = {}, now_s + _STATES_S
+            self._client.subscribe(_STATES, 0)
+            return
+        self._ask_s = None
+        there = ", ".join(f"{name} ({state})" for name, state in sorted(self._there.items())) or "no sensors"
+        topics = ", ".join(sorted(self._topics))
+        _log.warning("%s: no message on %s so far; there are %s", self._where, topics, there)
+        self._there = None
+        if _STATES not in self._topics:
+            self._client.unsubscribe(_STATES)
 
     def follow(self, topics: Collection[str]) -> None:
         """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
@@ -277,9 +330,13 @@ class Listener(Iterator[Message]):
         if "\ufffd" in topic or not topic.startswith("tacshade/"):
             self._refuse(DecodeError(f"found the topic {quoted(topic)}, expected one of a sensor or hand"))
             return
-        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # unsubscribed meanwhile
+        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # unsubscribed, or for `_wait`
+            with self._came:
+                if self._there is not None and len(self._there) < _THERE_MAX:
+                    name, state = topic.split("/")[1], message.payload[:20].decode(errors="replace")
+                    self._there[quoted(name)[1:-1]] = quoted(state)[1:-1]
             return
-        self._silent_s = None
+        self._ask_s = None
         part = topic.split("/", 3 if topic.startswith("tacshade/hand/") else 2)[-1]
         with self._came:
             key: str | int = topic if part in NEWEST_WINS else next(self._numbers)

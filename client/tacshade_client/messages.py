@@ -20,8 +20,18 @@ _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z
 class Message:
     """A decoded message.
 
-    `name` is the sensor's, or ``hand/`` and the hand's; `part` the rest of the topic, such as ``height``; `value` what
-    docs/reference/client.md lists; `retained` whether the broker had it from before this subscription.
+    Attributes
+    ----------
+    name : str
+        The sensor's name, or ``hand/`` and the hand's name.
+    part : str
+        The rest of the topic, such as ``height`` or ``status/camera``.
+    value : object
+        A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`, `TouchNumbers`, `SlipEvent`,
+        `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; a string for ``state``, a JPEG's bytes
+        for ``preview``, a dict for other JSON.
+    retained : bool
+        The broker had retained it from before this subscription.
     """
 
     name: str
@@ -33,7 +43,10 @@ class Message:
 def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Message:
     """Decode a payload by its topic, such as ``tacshade/left-index/height``.
 
-    Raises DecodeError if the topic is not a sensor's or hand's, or no daemon publishes such a payload there.
+    Raises
+    ------
+    DecodeError
+        The topic is not a sensor's or hand's, or no daemon publishes such a payload there.
     """
     found = _TOPIC.fullmatch(topic)
     if found is None:
@@ -47,10 +60,23 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
 
 
 def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
-    """The skin point of each cell: x, y, z in the sensor frame in mm, float32 (rows, cols, 3), NaN outside the disc.
+    """The skin point of each cell (the paper's eq. 2, also for a pinhole camera).
 
-    `geometry` is from the same sensor's ``info``. Raises DecodeError if the height comes from another calibration: wait
-    for the next ``info``.
+    Parameters
+    ----------
+    height : HeightMessage
+    geometry : InfoGeometry
+        From the same sensor's ``info``.
+
+    Returns
+    -------
+    float32 (rows, cols, 3)
+        x, y, z in the sensor frame in mm; NaN outside the disc.
+
+    Raises
+    ------
+    DecodeError
+        The height comes from another calibration than the geometry: wait for the next ``info``.
     """
     if height.calibration_crc32 != geometry.calibration_crc32:
         found = f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import select
 import time
@@ -23,11 +24,14 @@ from tacshade_edge.reasons import ReasonCode
 
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
+_STATES_S: Final = 1.0
+_THERE_MAX: Final = 64
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
 _ID_CHARS_MAX: Final = 255
+_STATE: Final = re.compile(r"tacshade/([^/\ufffd]+)/state")
 _SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
 
@@ -88,11 +92,16 @@ class _Heard(Results):
         self._connected = False
         self._frames = frames = FrameAssembler()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        self._there: set[str] = set()  # the sensors with a state, asked for after a silence
 
         def receive(topic: str, message: Any) -> None:
-            if not topic.startswith(f"{self._base}/"):
+            if topic.startswith(f"{self._base}/"):
+                frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
+            elif found := _STATE.fullmatch(topic):
+                if len(self._there) < _THERE_MAX:
+                    self._there.add(found[1])
+            else:
                 raise DecodeError(f"found the topic {quoted(topic)}, expected one below {self._base}/")
-            frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
 
         client.receive(receive)
         self._connect()
@@ -159,7 +168,14 @@ class _Heard(Results):
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
         state, reason = shown(self._frames.state), escaped(self._frames.info.reason, _REASON_CHARS_MAX)
-        known = f"the sensor's state is {state}" if state else "no daemon has published a state, expected its sensor_id"
+        known = f"the sensor's state is {state}"
+        if not self._frames.state:
+            self._client.subscribe("tacshade/+/state", 0)
+            end_s = time.monotonic() + _STATES_S
+            while time.monotonic() < end_s and self._step(_POLL_S):
+                pass
+            there = ", ".join(map(shown, sorted(self._there))) or "no sensor"
+            known = f"no daemon has published a state, expected one of those that have: {there}"
         text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {known}{'; ' * bool(reason)}{reason}"
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 

@@ -60,14 +60,19 @@ def test_messages_of_one_sensor_come_decoded(broker: Broker) -> None:
         assert (kept.name, kept.part, kept.value, kept.retained) == ("left", "state", "online", True)
 
 
-def test_a_silence_from_the_start_is_logged_once(
+def test_a_silence_from_the_start_names_the_sensors_that_are_there_once(
     broker: Broker, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_client.listener.SILENT_S", 0.1)
-    with tc.listen(f"127.0.0.1:{broker.port}", "lfet") as heard:
-        assert heard.get(0.3) is heard.get(0.3) is None
+    monkeypatch.setattr("tacshade_client.listener.SILENT_S", 0.2)
+    with Subscriber(broker.port, "none") as sender, tc.listen(f"127.0.0.1:{broker.port}", "lfet") as heard:
+        sender.publish("tacshade/left/state", b"online", retain=True)
+        sender.publish("tacshade/right/state", b"offline", retain=True)
+        wait_until(lambda: heard.get(0.1) is None and caplog.records, 10, "the line")
+        sender.publish("tacshade/lfet/height", HEIGHT)
+        assert taken(heard).name == "lfet"
+        assert heard.get(0.5) is None
     (line,) = (record.getMessage() for record in caplog.records)
-    assert line.endswith("no message on tacshade/lfet/height so far; expected the id of a sensor or hand")
+    assert line.endswith("no message on tacshade/lfet/height so far; there are left (online), right (offline)")
 
 
 def test_of_contacts_the_newest_waits_and_of_states_every_one(broker: Broker) -> None:
