@@ -162,7 +162,7 @@ def test_a_stall_is_told_and_ended(
 def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(
-        DeviceError, match=r"no such program, expected the program from Debian's package rpicam-apps-lite"
+        DeviceError, match=r"no such program, expected that of Debian's package rpicam-apps-lite"
     ) as caught:
         source().open()
     assert caught.value.code is ReasonCode.ABSENT
