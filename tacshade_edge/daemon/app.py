@@ -174,9 +174,9 @@ class App:
             self._changed()
             self._publish_state()
             self.link.start()
-            self._pipeline.start()
             for observer in self._observers:
                 observer.start()
+            self._pipeline.start()
             notify("READY=1")
             self._loop()
             self._shut_down()

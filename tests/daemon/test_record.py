@@ -106,10 +106,11 @@ class Live:
 
 @pytest.fixture
 def live(calibration: Calibration, tmp_path: Path) -> Iterator[Live]:
+    before = set(threading.enumerate())  # an app that a test let crash leaves its threads
     made = Live(calibration, tmp_path)
     yield made
     made.recorder.stop(patience(20))
-    assert not any(thread.name == "record" for thread in threading.enumerate())
+    assert set(threading.enumerate()) <= before
 
 
 def frames(count: int, first: int = 0) -> list[Frame]:
