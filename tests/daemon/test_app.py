@@ -362,7 +362,7 @@ def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
         source.ms = 0
         wait_until(lambda: used()[-1] == ladder[0], 30, "stepped up")
         wait_until(lambda: budget().get("kept"), 20, "kept again")
-        assert budget()["steps_up"] == len(ladder) - 1
+        wait_until(lambda: budget()["steps_up"] == len(ladder) - 1, 20, "health counts the steps")
         assert [profile for profile, _ in groupby(used())] == ladder + ladder[-2::-1]
         assert all(json.loads(payload)["choice"] == "auto" for payload in live.payloads("info"))
 

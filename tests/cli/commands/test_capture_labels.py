@@ -174,7 +174,7 @@ def test_a_robots_poses_label_a_press(out: Path, config: Path, press: Press) -> 
         pause = threading.Event()
         pause.wait(0.5)
         press("ball,6,1.5,0,0")
-        pause.wait(1.0)
+        pause.wait(2.0)
         press()
         pause.wait(0.2)
         one.types("")
