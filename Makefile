@@ -9,7 +9,7 @@
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
-# make faults  the table of docs/explanation/reliability.md; 4 minutes
+# make faults  the table of docs/results/faults.md; 4 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.

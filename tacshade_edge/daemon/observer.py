@@ -54,7 +54,7 @@ class FrameObserver:
     stop_s: ClassVar[float] = THREADS_STOPPED_S
 
     def start(self) -> None:
-        """Start; the pipeline's threads run already."""
+        """Start; the pipeline's threads start afterwards."""
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:
