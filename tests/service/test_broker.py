@@ -211,6 +211,7 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp
                 return any({f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"} for m in told)
 
             wait_until(both, 30, "the hand reports both fingers")
+            wait_until(lambda: f"tacshade/{SENSOR}/state" in dashboard.topics(), 30, "the finger hears requests")
             assert dashboard.publish(f"tacshade/{SENSOR}/req/status") == "Success"
             wait_until(lambda: f"tacshade/{SENSOR}/res/status" in dashboard.topics(), 10, "an answer")
         finally:
