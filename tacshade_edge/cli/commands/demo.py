@@ -8,9 +8,9 @@ import signal
 import socket
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
@@ -49,12 +49,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
     need("demo", "demo", "websockets")  # before a minute of work
+    asked = threading.Event()
+
+    def stop(*_: object) -> None:
+        """Interrupt the current work and stop the children; a second Ctrl-C does not interrupt that."""
+        for number in STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        asked.set()
+        raise KeyboardInterrupt
+
+    def end_if_asked() -> None:
+        """Raise the interrupt again if it was lost, as it is when raised in a destructor or a library's callback."""
+        if asked.is_set():
+            raise KeyboardInterrupt
+
     for number in STOP_SIGNALS:
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, stop)
     me = [sys.executable, "-m", "tacshade_edge"]
     host = args.listen
     http = _free(host, HTTP) if args.http is None else args.http
-    with ExitStack() as stack, _stopped_by_a_signal():
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         children: list[Child] = []
 
@@ -77,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
         dashboard = start("dashboard", page)
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
+        end_if_asked()
         if args.hand:
             settings = demo_hand.write(folder, mqtt)
             what = "Five simulated fingers hold a bottle"
@@ -84,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
             settings = folder / "settings.yaml"
             settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
             what = "A simulated sensor presses and drags objects; soon a second one stitches a map"
+        end_if_asked()
         wait_for_port(broker, mqtt, START_S)
         start("daemon", [*me, "run", "--config", str(settings)])
         wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
@@ -101,21 +117,11 @@ def run(args: argparse.Namespace) -> int:
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(period_s, left_s))
+            end_if_asked()
             for child in children:
                 child.check()
             next(other)
     return 0
-
-
-@contextmanager
-def _stopped_by_a_signal() -> Iterator[None]:
-    """Let a signal interrupt the work, but not the end of the children after it."""
-    try:
-        with suppress(KeyboardInterrupt):
-            yield
-    finally:
-        for number in STOP_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
 
 
 def _free(host: str, port: int) -> int:
