@@ -136,6 +136,7 @@ class NetworkReport:
     fitted_mm: float
     shipped_presses_mm: float | None = None
     fitted_presses_mm: float | None = None
+    trained_mm: float | None = None  # of all the way to the trained weights, where `fitted_mm` is of a part of it
 
     @property
     def kept(self) -> bool:
@@ -143,7 +144,8 @@ class NetworkReport:
         if self.shipped_presses_mm is not None:
             found_mm = self.fitted_presses_mm
             return self.fitted_mm < self.shipped_mm and found_mm is not None and found_mm < self.shipped_presses_mm
-        return self.fitted_mm < (1 - LEAST_GAIN) * self.shipped_mm
+        trained_mm = self.fitted_mm if self.trained_mm is None else self.trained_mm
+        return trained_mm < (1 - LEAST_GAIN) * self.shipped_mm
 
     @property
     def line(self) -> str:
@@ -328,7 +330,7 @@ def _judged(
     if before is None or not before.errors_mm:
         whole = part_of_the_way(1.0)
         made = whole if name == SHEAR else part_of_the_way(PARTS[0])
-        return made, NetworkReport(name, shipped_mm, whole.error_mm)
+        return made, NetworkReport(name, shipped_mm, made.error_mm, trained_mm=whole.error_mm)
     tried = []
     for part in PARTS:
         made = part_of_the_way(part)

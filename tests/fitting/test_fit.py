@@ -125,6 +125,13 @@ def test_a_network_is_kept_if_it_is_better_on_both(
     assert report.line.endswith("the shipped network stays") != kept
 
 
+def test_without_presses_the_trained_network_decides_and_the_kept_one_is_reported() -> None:
+    report = replace(_report(0.3, 0.28), trained_mm=0.2)
+    assert report.kept
+    assert "off by 0.28 mm" in report.line
+    assert not replace(report, trained_mm=0.27).kept
+
+
 def _report(*errors: float | None) -> NetworkReport:
     from tacshade_edge.fitting.fit import NetworkReport as Report
 
