@@ -219,11 +219,12 @@ class SerialCommands:
             self._captures.put(command.arrived_ns, partial(self._answer, command))
         elif command.verb == "REFERENCE":
             self.on_request(Request("reference"), partial(self._answer, command))
-        elif self.sessions is None:
-            link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch"))
-        else:
+        elif command.verb == "STITCH" and self.sessions is not None:
             action, *name = command.args
             self.sessions.submit(action, name[0] if name else "", partial(self._answer, command))
+        else:
+            text = f"this daemon is not ready to {command.verb.lower()}"
+            link.answer(command, Reason(ReasonCode.UNAVAILABLE, text))
 
     def send_answers(self, link: SerialLink) -> None:
         """Give the link the answers since the last call; called in the serial thread."""
