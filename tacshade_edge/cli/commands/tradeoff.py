@@ -39,7 +39,8 @@ from tacshade_edge.studies.tradeoff.measure import (
 from tacshade_edge.types import F32, Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.identify import Kind, Layout
+    from tacshade_edge.fitting.identify import Kind
+    from tacshade_edge.fitting.lattice import Layout
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -151,7 +152,7 @@ def _report(args: argparse.Namespace) -> int:
 def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     """A simulation of the user's sensor, from its calibration's reference."""
     need("tradeoff --calibration without --images", "fit", "numba")
-    from tacshade_edge.fitting import identify
+    from tacshade_edge.fitting import identify, lattice
 
     calibration = calibrations.load(args.calibration)
     small, times = calibration, 1
@@ -162,8 +163,8 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     if not found:
         raise ConfigError(f"{args.calibration}: found no pins in its reference; add --images DIR, with ground truth")
     model, layout = found[0].at(found[0].values)
-    if isinstance(layout, identify.Tips):
-        layout = identify.Tips(layout.px * times + (times - 1) / 2)
+    if isinstance(layout, lattice.Tips):
+        layout = lattice.Tips(layout.px * times + (times - 1) / 2)
     at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px", "blur_px"), calibration
     model = replace(model, **{name: getattr(identify.base_model(whole), name) for name in at})
     make = partial(Twin, model, found[0].kind, layout, identify.seen_light(whole)[0])
