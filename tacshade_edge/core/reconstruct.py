@@ -15,7 +15,7 @@ from tacshade_edge.core.contact.gate import (
 )
 from tacshade_edge.core.contact.objects import contact_of, find_objects
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
+from tacshade_edge.core.depth import SOLVERS, Depth, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import Judges, Measured, first_reason, picture, size_reason, skin
@@ -57,7 +57,6 @@ class Reconstructor:
         calibration: Calibration,
         profile: Profile,
         network: Network | None = None,
-        make_solver: MakeSolver | None = None,
         touch: TouchModel | Reason | list[F32] | None = None,
     ) -> None:
         self.calibration = calibration
@@ -71,7 +70,7 @@ class Reconstructor:
         self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
         self._gate = ContactGate(seen)
         self._gate_part = self._gate.least_part if network else self._gate.plain_part
-        self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
+        self._solver = SOLVERS[profile.solver](self._preprocessor, network)
         self._touch = touch
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)

@@ -12,7 +12,9 @@ from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import SigmaModel
 from tacshade_edge.core.image.preprocess import Preprocessor
 
-MakeSolver = Callable[[Preprocessor, Network | None], HybridSfs | LearnedSolver]
-SOLVERS: dict[str, MakeSolver] = {"hybrid_sfs": HybridSfs, "learned": LearnedSolver}
+SOLVERS: dict[str, Callable[[Preprocessor, Network | None], HybridSfs | LearnedSolver]] = {
+    "hybrid_sfs": HybridSfs,
+    "learned": LearnedSolver,
+}
 
-__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "SigmaModel"]
+__all__ = ["SOLVERS", "Depth", "Network", "SigmaModel"]

@@ -5,8 +5,6 @@ A fidelity reference, not a good method: its result is a scaled copy of the grey
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
@@ -97,22 +95,16 @@ def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
 class HybridSfs:
     """Solves by denoising, eq. 9, and `hybrid_depth`, without a network."""
 
-    def __init__(
-        self,
-        preprocessor: Preprocessor,
-        network: Network | None = None,
-        depth: Callable[[GreyMaps, float], Depth] = hybrid_depth,
-    ) -> None:
+    def __init__(self, preprocessor: Preprocessor, network: Network | None = None) -> None:
         self.grid = preprocessor.camera_grid
         self._grey_mapper = GreyMapper(preprocessor)
-        self._depth = depth
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
-        return self._depth(maps, self._alpha_mm)
+        return hybrid_depth(maps, self._alpha_mm)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
         """The paper has no shear."""

@@ -238,6 +238,19 @@ def _peak_kib() -> int:
     return int(found[1])
 
 
+class Parts:
+    """Processor time in ms of each part of a frame on this thread; call it with a part's name at its end."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, float] = {}
+        self._last_ns = time.thread_time_ns()
+
+    def __call__(self, part: str) -> None:
+        now_ns = time.thread_time_ns()
+        self.ms[part] = (now_ns - self._last_ns) / 1e6
+        self._last_ns = now_ns
+
+
 class Timed:
     """A setting's frames on one thread, and the processor time of each part of them in ms."""
 
@@ -270,21 +283,13 @@ class Timed:
     def frame(self, image: U8) -> dict[str, float]:
         """Time the stages of a frame's step, then the encoding of each output."""
         self._t_ns += FRAME_NS  # as in a stream, so that work not done on every frame costs as much
-        taken: dict[str, float] = {}
-        last = time.thread_time_ns()
-
-        def mark(part: str) -> None:
-            nonlocal last
-            now = time.thread_time_ns()
-            taken[part] = (now - last) / 1e6
-            last = now
-
-        result = self._made.step(Frame(0, self._t_ns, 0, image), mark, self.need)
+        parts = Parts()
+        result = self._made.step(Frame(0, self._t_ns, 0, image), parts, self.need)
         for name in self._outputs if result is not None and result.contact else ():
             assert result is not None
             OUTPUTS[name].encode(result)
-            mark(f"encode {name}")
-        return taken
+            parts(f"encode {name}")
+        return parts.ms
 
 
 @dataclass(frozen=True, slots=True)
