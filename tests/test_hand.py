@@ -33,7 +33,7 @@ TOUCHED = Finger(state="contact", t_ns=NOW_NS - 5_500_000, seq=2)
 
 @pytest.fixture
 def two() -> HandAggregator:
-    """Listened to, and both have told."""
+    """Listened to, and both have reported."""
     together = HandAggregator(["thumb", "index"])
     together.listen(True, NOW_NS)
     for name in ("thumb", "index"):
@@ -58,15 +58,15 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "period_ns"),
+    ("reported", "period_ns"),
     [(TOUCHED, GATHER_NS), (away(Reason(ReasonCode.LOST, "gone")), GATHER_NS), (FREE, QUIET_PERIOD_NS)],
     ids=["contact", "change", "nothing new"],
 )
 def test_contact_and_change_are_reported_at_most_250_times_a_second_all_else_10_times(
-    two: HandAggregator, told: Finger, period_ns: int
+    two: HandAggregator, reported: Finger, period_ns: int
 ) -> None:
     two.message(NOW_NS, 0)
-    two.hear("thumb", told, NOW_NS + 1)
+    two.hear("thumb", reported, NOW_NS + 1)
     assert two.due_ns() == NOW_NS + period_ns
 
 

@@ -115,7 +115,7 @@ PAGES = {
     "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
     "faults": Page(
         {"": "tools.faults table"},
-        r"^told where$|^(recordings read|SIGTERM)",
+        r"^reported where$|^(recordings read|SIGTERM)",
         own=("tacshade_edge/daemon",),
     ),
 }

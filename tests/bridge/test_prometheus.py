@@ -30,7 +30,7 @@ def series(text: str) -> Series:
     }
 
 
-def test_what_is_told_of_a_sensor() -> None:
+def test_what_is_exposed_of_a_sensor() -> None:
     from prometheus_client import CollectorRegistry, generate_latest
 
     sensors = prometheus.SensorMetrics([])
@@ -38,7 +38,7 @@ def test_what_is_told_of_a_sensor() -> None:
     registry.register(sensors)
     payload = health()
 
-    def told() -> dict[str, float]:
+    def exposed() -> dict[str, float]:
         found = series(generate_latest(registry).decode())
         return {
             f"{name} {' '.join(v for k, v in labels if k != 'sensor')}".strip(): x
@@ -47,12 +47,12 @@ def test_what_is_told_of_a_sensor() -> None:
 
     sensors.hear("tacshade/left/state", b"online", True)
     sensors.hear("tacshade/left/health", payload, True)  # retained: of another time
-    assert told()["tacshade_up"] == 0
-    assert "tacshade_uptime_seconds" not in told()
+    assert exposed()["tacshade_up"] == 0
+    assert "tacshade_uptime_seconds" not in exposed()
     for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000, b'{"uptime_s": "a"}'):
         sensors.hear("tacshade/left/health", damaged, False)
     sensors.hear("tacshade/left/health", payload, False)
-    got = told()
+    got = exposed()
     said = json.loads(payload)
     assert got["tacshade_up"] == got["tacshade_state online"] == 1
     assert got["tacshade_state offline"] == 0
@@ -65,8 +65,8 @@ def test_what_is_told_of_a_sensor() -> None:
     assert got["tacshade_mqtt_total published"] == 9
     assert got["tacshade_recorder_frames_total written"] == 5
     sensors.hear("tacshade/left/state", b"offline", False)
-    assert {name.split()[0] for name in told()} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
-    assert told()["tacshade_up"] == 0
+    assert {name.split()[0] for name in exposed()} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
+    assert exposed()["tacshade_up"] == 0
 
 
 def test_a_silent_sensor_reports_no_numbers() -> None:
@@ -84,7 +84,7 @@ def up_of(sensors: Any) -> dict[str, float]:
     return {sample.labels["sensor"]: sample.value for sample in family.samples}
 
 
-def test_what_never_told_a_health_or_stopped_is_not_down() -> None:
+def test_what_never_reported_a_health_or_stopped_is_not_down() -> None:
     sensors = prometheus.SensorMetrics([])
     sensors.hear("tacshade/replay/state", b"online", False)
     for name, state in (("ended", b"stopped"), ("died", b"offline"), ("hangs", b"online")):

@@ -170,7 +170,7 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
         f"process.main = lambda: os.kill(os.getpid(), {number:d}) or 1\nentry()"
     )
     assert python(code, "run").returncode == 0
-    assert python(code, "replay").returncode in (-number, 1), "any other command tells that it was cut off"
+    assert python(code, "replay").returncode in (-number, 1), "any other command reports that it was cut off"
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
         ("RLIMIT_NOFILE", 127, "found at most 127 open files"),
     ],
 )
-def test_too_low_a_limit_is_told_before_a_library_crashes(limit: str, value: int, found: str) -> None:
+def test_too_low_a_limit_is_reported_before_a_library_crashes(limit: str, value: int, found: str) -> None:
     code = f"import resource\nresource.setrlimit(resource.{limit}, ({value}, {value}))\n"
     if python(f"{code}print(resource.getrlimit(resource.{limit})[0])").stdout != f"{value}\n":
         pytest.skip("this limit is not kept here: QEMU's emulation of a user space has none of the address space")

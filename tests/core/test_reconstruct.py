@@ -271,9 +271,9 @@ def test_an_orthographic_sensor_works() -> None:
 
 
 @pytest.mark.parametrize(
-    ("depth_mm", "told_mm", "saturated"), [(6.0, 6.0, False), (6.4, 6.4, True), (25.0, 20.0, True)]
+    ("depth_mm", "reported_mm", "saturated"), [(6.0, 6.0, False), (6.4, 6.4, True), (25.0, 20.0, True)]
 )
-def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: float, saturated: bool) -> None:
+def test_what_a_network_says_beyond_its_range_is_reported(depth_mm: float, reported_mm: float, saturated: bool) -> None:
     unit_mm = HALF.skin_radius_mm * np.sin(np.radians(HALF.visible_half_angle_deg)) / HEIGHT_SCALE
     row, col = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
     pressed_cells = np.hypot(row, col) < 20
@@ -284,7 +284,7 @@ def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: 
     made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["balanced"], network)
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
     assert (result.repaired_px, result.saturated) == (2, saturated)
-    assert result.depth_max_mm == pytest.approx(told_mm, rel=1e-6)
+    assert result.depth_max_mm == pytest.approx(reported_mm, rel=1e-6)
     np.testing.assert_array_equal(result.height.contact, pressed_cells)
     assert (result.height.height_mm[made.rays.inside & ~pressed_cells] == 0).all()
 

@@ -248,7 +248,7 @@ def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
         assert taken["ok"] is True, taken
         assert taken["result"]["frames"] == 10
         crc = taken["result"]["calibration_crc32"]
-        wait_until(lambda: live.last("info")["geometry"]["calibration_crc32"] == crc, 5, "info tells the reference")
+        wait_until(lambda: live.last("info")["geometry"]["calibration_crc32"] == crc, 5, "info reports the reference")
         touch.set()
         heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
         assert wire.decode(heights[-1]).calibration_crc32 == crc
@@ -270,7 +270,7 @@ def test_a_requested_reference_outlives_a_restart_and_a_reload(live: Live, pictu
         taken = live.ask("reference")["result"]
         assert taken["stored"] is True
         crc = taken["calibration_crc32"]
-        wait_until(lambda: origin() == ("request", crc), 5, "info tells the reference")
+        wait_until(lambda: origin() == ("request", crc), 5, "info reports the reference")
         before = len(live.payloads("info"))
         app.app.reload()
         live.seen.wait_for(f"{BASE}/info", before + 1, 5)
@@ -448,7 +448,7 @@ def test_a_recording_begins_before_it_is_asked_for(live: Live, pictures: Any, sc
         assert live.ask("record", action="mark")["ok"]
         stopped = live.ask("record", action="stop")["result"]
         counts = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "pre_roll_dropped": 0}
-        wait_until(lambda: counts.items() <= live.last("health")["recorder"].items(), 5, f"health tells {counts}")
+        wait_until(lambda: counts.items() <= live.last("health")["recorder"].items(), 5, f"health reports {counts}")
     folder = live.folder / "recs" / "one"
     events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     start_ns = next(event["t_ns"] for event in events if event["kind"] == "start")

@@ -135,7 +135,7 @@ class Cell:
             wait_until(condition, DEADLINE_S, what)
         except AssertionError as error:
             known = {topic: self.last(topic) for topic in ("status/serial", "status/stitching", "health")}
-            raise AssertionError(f"{error}; {known}; the robot: {self.robot.told} {self.robot.events}") from None
+            raise AssertionError(f"{error}; {known}; the robot: {self.robot.counts} {self.robot.events}") from None
 
     def ask(self, verb: str, **request: Any) -> Any:
         """The result of a request, or its error."""
@@ -150,18 +150,18 @@ class Cell:
         return self.robot.answers[before]
 
     def go(self, pose: PoseValues) -> None:
-        """Lift, and move; the robot has told of it for a while when this returns."""
+        """Lift, and move; the robot has reported it for a while when this returns."""
         self.shown = unloaded()
         self.until(lambda: self.last("contact").get("contact") == 0, "lifted")
         self.place = pose
-        told = self.robot.told.poses
-        self.until(lambda: self.robot.told.poses > told + 30, "told")
+        poses = self.robot.counts.poses
+        self.until(lambda: self.robot.counts.poses > poses + 30, "poses")
 
     def status(self) -> Any:
         return self.last("status/stitching")
 
     def press(self, pose: PoseValues, image: U8, count: int) -> None:
-        """Press and hold until that is added; again, where a starved robot's line told no pose for that instant."""
+        """Press and hold until that is added; again, where a starved robot's line had no pose for that instant."""
         missed = self.status()["missed"]
         self.go(pose)
         self.shown = image

@@ -26,12 +26,12 @@ def lines() -> Iterator[Lines]:
         made.hand[name].close()
 
 
-def test_what_a_finger_tells_comes_from_that_finger_in_order(lines: Lines) -> None:
+def test_what_a_finger_reports_comes_from_that_finger_in_order(lines: Lines) -> None:
     for seq in range(3):
         lines.fingers["index"].report(Finger(state="free", seq=seq))
     assert lines.take("thumb") is None
-    told = [lines.take("index") for _ in range(4)]
-    assert [finger and finger.seq for finger in told] == [0, 1, 2, None]
+    taken = [lines.take("index") for _ in range(4)]
+    assert [finger and finger.seq for finger in taken] == [0, 1, 2, None]
 
 
 def test_a_hand_that_reads_nothing_keeps_no_finger_waiting_and_harms_no_other(lines: Lines) -> None:
@@ -45,7 +45,7 @@ def test_a_hand_that_reads_nothing_keeps_no_finger_waiting_and_harms_no_other(li
     assert 1 <= taken < 2000
 
 
-def test_a_process_that_ended_is_told_for(lines: Lines) -> None:
+def test_a_process_that_ended_is_reported_for(lines: Lines) -> None:
     lines.end("thumb")
     lines.end("hand/left")  # the hand's own is none of them
     assert lines.take("thumb") == Finger(state="away", reason_code="daemon_stopped")
@@ -93,21 +93,21 @@ def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
     assert rig.finger.need() == Need.CONTACT
 
 
-def test_every_frame_in_contact_is_told_in_the_hands_frame(rig: Rig) -> None:
+def test_every_frame_in_contact_is_reported_in_the_hands_frame(rig: Rig) -> None:
     for t_ns in (0, 1, 2):
         rig.see(result(t_ns, contact=True))
-    told = rig.reported()
-    assert [f.t_ns for f in told] == [0, 1, 2]
-    assert {f.objects[0].centroid_mm for f in told} == {(1.0, 2.0, 23.0)}
+    reports = rig.reported()
+    assert [f.t_ns for f in reports] == [0, 1, 2]
+    assert {f.objects[0].centroid_mm for f in reports} == {(1.0, 2.0, 23.0)}
 
 
-def test_without_contact_it_tells_ten_times_a_second(rig: Rig) -> None:
+def test_without_contact_it_reports_ten_times_a_second(rig: Rig) -> None:
     for t_ns in range(0, 3 * PERIOD_NS, PERIOD_NS // 5):
         rig.see(result(t_ns))
     assert [f.t_ns for f in rig.reported()] == [0, PERIOD_NS, 2 * PERIOD_NS]
 
 
-def test_every_change_is_told_at_once(rig: Rig) -> None:
+def test_every_change_is_reported_at_once(rig: Rig) -> None:
     torn = Reason(ReasonCode.TORN, "torn")
     for t_ns, more in enumerate(({}, {"contact": True}, {}, {}, {"reason": torn}, {"reason": torn}, {})):
         rig.see(result(t_ns, **more))  # type: ignore[arg-type]
@@ -115,7 +115,7 @@ def test_every_change_is_told_at_once(rig: Rig) -> None:
     assert states == [(0, "free", ""), (1, "contact", ""), (2, "free", ""), (4, "away", "torn"), (6, "free", "")]
 
 
-def test_nothing_is_told_while_nobody_listens_and_all_of_it_when_somebody_does(rig: Rig) -> None:
+def test_nothing_is_reported_while_nobody_listens_and_all_of_it_when_somebody_does(rig: Rig) -> None:
     rig.see(result(0))
     rig.lines.want(False)
     rig.see(result(1))
@@ -126,7 +126,7 @@ def test_nothing_is_told_while_nobody_listens_and_all_of_it_when_somebody_does(r
     assert [f.t_ns for f in rig.reported()] == [0, 2]
 
 
-def test_a_camera_that_is_gone_is_told_whoever_listens(rig: Rig) -> None:
+def test_a_camera_that_is_gone_is_reported_whoever_listens(rig: Rig) -> None:
     rig.lines.want(False)
     rig.finger.source_changed(SourceState("away", Reason(ReasonCode.LOST, "gone")))
     assert rig.reported() == [Finger(state="away", reason_code="lost")]
@@ -135,5 +135,5 @@ def test_a_camera_that_is_gone_is_told_whoever_listens(rig: Rig) -> None:
 def test_a_new_place_in_the_hand_holds_from_the_next_frame_on(rig: Rig) -> None:
     rig.finger.settings_changed(Settings(hand_T_sensor=(0, 0, -20, 1, 0, 0, 0)))
     rig.see(result(0, contact=True))
-    (told,) = rig.reported()
-    assert told.objects[0].centroid_mm == (0.0, 0.0, 0.0)
+    (report,) = rig.reported()
+    assert report.objects[0].centroid_mm == (0.0, 0.0, 0.0)

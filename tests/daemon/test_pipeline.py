@@ -123,19 +123,19 @@ class Published(FrameObserver):
 
 
 def pipeline(
-    source: Any, calibration: Calibration, told: list[SourceState], make: type[FrameObserver] = Published
+    source: Any, calibration: Calibration, states: list[SourceState], make: type[FrameObserver] = Published
 ) -> Pipeline:
     running, ledger = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])), FrameLedger()
-    return Pipeline(source, lambda: running.reconstructor, [make(ledger)], ledger, Timings(), told.append)  # type: ignore[call-arg]
+    return Pipeline(source, lambda: running.reconstructor, [make(ledger)], ledger, Timings(), states.append)  # type: ignore[call-arg]
 
 
 def test_a_stop_finishes_the_frame_that_waits(
     calibration: Calibration, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
-    told: list[SourceState] = []
-    line = pipeline(scripted([pictures.free] * 50 + [None]), calibration, told)
+    states: list[SourceState] = []
+    line = pipeline(scripted([pictures.free] * 50 + [None]), calibration, states)
     line.start()
-    wait_until(lambda: told[-1:] == [SourceState("ended")])
+    wait_until(lambda: states[-1:] == [SourceState("ended")])
     assert line.stop(10)
     counts = line.ledger.counts()
     assert counts.pending == 0

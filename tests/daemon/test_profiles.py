@@ -146,7 +146,7 @@ BEST, CHEAPEST = LADDER[0], LADDER[-1]
 
 
 class Daemon:
-    """An active profile whose measurements the test tells."""
+    """An active profile whose measurements the test states."""
 
     def __init__(self, calibration: Calibration, choice: str = AUTO, budget_ms: float | None = BUDGET_MS) -> None:
         made = make_reconstructor(calibration, PROFILES[CHEAPEST])
@@ -256,7 +256,7 @@ def test_a_fixed_profile_watches_nothing(calibration: Calibration) -> None:
     assert daemon.profile == "paper"
 
 
-def test_a_budget_that_the_fastest_does_not_keep_is_told_once(
+def test_a_budget_that_the_fastest_does_not_keep_is_reported_once(
     calibration: Calibration, caplog: pytest.LogCaptureFixture
 ) -> None:
     daemon = Daemon(calibration)

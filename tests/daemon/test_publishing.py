@@ -155,14 +155,14 @@ def test_a_touch_goes_out_while_it_has_a_subscriber_and_once_more_at_release(
     assert Played(calibration, images, ("height", "shear")).seqs("touch") == []
 
 
-def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: Any) -> None:
-    told: list[dict[str, Any]] = []
+def test_a_slip_is_reported_once_at_its_onset(calibration: Calibration, pictures: Any) -> None:
+    events: list[dict[str, Any]] = []
 
-    def tell(topic: str, payload: bytes) -> None:
+    def report(topic: str, payload: bytes) -> None:
         assert topic == "event/slip"
-        told.append(json.loads(payload))
+        events.append(json.loads(payload))
 
-    publisher = Publisher(ignore, tell, ignore)
+    publisher = Publisher(ignore, report, ignore)
     frame = Frame(0, 0, 0, pictures.touched)
     result = make_reconstructor(calibration, PROFILES["fast"]).step(frame)
     one = replace(result.objects[0], id=7)
@@ -173,12 +173,12 @@ def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: An
         if other is not None:
             objects.append(replace(one, label=2, id=8, slip=other, slip_mm_s=9.0))
         publisher.see(FrameResult(frame, calibration, replace(result, seq=seq, objects=tuple(objects))))
-    assert [(event["seq"], event["id"], event["slip_mm_s"]) for event in told] == [
+    assert [(event["seq"], event["id"], event["slip_mm_s"]) for event in events] == [
         (1, 7, 20.0),
         (2, 8, 9.0),
         (4, 7, 20.0),
     ]
-    assert (told[0]["x_mm"], told[0]["y_mm"]) == pytest.approx(one.centroid_mm[:2])
+    assert (events[0]["x_mm"], events[0]["y_mm"]) == pytest.approx(one.centroid_mm[:2])
 
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"
@@ -279,8 +279,8 @@ def announcing(port: int, *, user: str = "hand", wanted: bool) -> Iterator[tuple
 
 
 def announced_state(assistant: Subscriber) -> str:
-    told = assistant.of(f"tacshade/hand/{STATUS}")
-    return str(json.loads(told[-1])["state"]) if told else ""
+    payloads = assistant.of(f"tacshade/hand/{STATUS}")
+    return str(json.loads(payloads[-1])["state"]) if payloads else ""
 
 
 @pytest.fixture
@@ -309,7 +309,7 @@ def assistant(guarded: Broker) -> Iterator[Subscriber]:
 @needs_broker
 def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) -> None:
     with announcing(guarded.port, wanted=True) as (link, announcer):
-        wait_until(lambda: announced_state(assistant) == "announced", 10, "told")
+        wait_until(lambda: announced_state(assistant) == "announced", 10, "the announcement")
         wait_until(lambda: all(assistant.of(topic) for topic in TOPICS), 10, "announced")
         select = next(topic for topic in TOPICS if "/select/" in topic)
         assert json.loads(assistant.of(select)[-1])["options"] == ["fast"]
@@ -319,7 +319,7 @@ def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) 
         assert json.loads(assistant.of(select)[-1])["options"] == ["fast", "auto"]
         assert link.counters()["refused"] == 0
     with announcing(guarded.port, wanted=False) as (link, _):
-        wait_until(lambda: announced_state(assistant) == "withdrawn", 10, "told")
+        wait_until(lambda: announced_state(assistant) == "withdrawn", 10, "the announcement")
         wait_until(lambda: all(assistant.of(topic)[-1] == b"" for topic in TOPICS), 10, "taken back")
         assert link.counters()["refused"] == 0
     with eyes(guarded) as later:

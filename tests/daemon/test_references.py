@@ -62,7 +62,7 @@ class Resting:
         self.changes += 1
 
     def look(self, image: U8, held: bool = False, doubt: Reason | None = None) -> bool:
-        """As long as it takes to the next look, and whether there is something to tell."""
+        """As long as it takes to the next look, and whether there is something to report."""
         self.show(image, max(REST_S, PERIOD_S) + UNTOUCHED_FRAMES / FPS + 0.2, doubt)
         return self.poll(held)
 
@@ -155,7 +155,7 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert not path.exists()
 
 
-def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictures: Any, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(calibration: Calibration, pictures: Any, tmp_path: Path) -> None:
     taken = requested(calibration, [pictures.free] * REFERENCE_FRAMES, tmp_path / "gone" / "c.reference.npz")
     assert taken.calibration.crc32 != 0
     assert taken.reason is not None
@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictu
     assert taken.reason.text.endswith("this reference lasts only until the next start or reload")
 
 
-def test_it_follows_from_where_it_began_and_tells_how_far(
+def test_it_follows_from_where_it_began_and_reports_how_far(
     resting: Resting, calibration: Calibration, pictures: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

@@ -34,9 +34,9 @@ PERIOD_NS = 20_000_000
 
 
 def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, bool, float]], list[str]]:
-    """What was counted; sequence number, contact and our time of each delivery; and what was told."""
+    """What was counted; sequence number, contact and our time of each delivery; and what was reported."""
     delivered: list[tuple[int, bool, float]] = []
-    told: list[str] = []
+    reported: list[str] = []
 
     def deliver(recorded: RecordedFrame, result: Reconstruction) -> None:
         assert result.t_ns == recorded.frame.t_ns
@@ -44,8 +44,8 @@ def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, b
 
     progress = Progress()
     reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
-    replay(Recording(folder), reconstructor, [deliver], progress, speed=speed, undecodable=told.append)
-    return progress, delivered, told
+    replay(Recording(folder), reconstructor, [deliver], progress, speed=speed, undecodable=reported.append)
+    return progress, delivered, reported
 
 
 @pytest.fixture
@@ -54,13 +54,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_every_frame_is_delivered_in_order_and_counted(folder: Path) -> None:
-    progress, delivered, told = play(folder, None)
+    progress, delivered, reported = play(folder, None)
     assert [(seq, contact) for seq, contact, _ in delivered] == [(0, False), (1, True), (2, False), (3, True)]
     assert (progress.frames, progress.contacts, progress.invalid, progress.undecodable) == (4, 2, 1, 0)
     assert progress.recorded_seconds == pytest.approx(0.08)
     assert progress.speed_up == pytest.approx(0.08 / progress.seconds)
     assert progress.as_dict()["frames"] == 4
-    assert told == []
+    assert reported == []
 
 
 def test_no_frame_comes_before_its_time(folder: Path) -> None:
@@ -71,14 +71,14 @@ def test_no_frame_comes_before_its_time(folder: Path) -> None:
         assert at - began >= seq * PERIOD_NS / 1e9 / speed - 1e-3
 
 
-def test_what_cannot_be_read_is_told_and_passed_over(folder: Path) -> None:
+def test_what_cannot_be_read_is_reported_and_passed_over(folder: Path) -> None:
     (folder / "000000.png").unlink()
-    progress, delivered, told = play(folder, None)
+    progress, delivered, reported = play(folder, None)
     assert [seq for seq, _, _ in delivered] == [1, 2, 3]
     assert (progress.frames, progress.undecodable) == (3, 1)
     assert progress.recorded_seconds == pytest.approx(0.06)
-    assert len(told) == 1
-    assert "000000.png: No such file" in told[0]
+    assert len(reported) == 1
+    assert "000000.png: No such file" in reported[0]
 
 
 def test_back_shows_the_frame_before_from_anywhere(tmp_path: Path) -> None:

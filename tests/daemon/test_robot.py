@@ -47,12 +47,12 @@ class Side:
 
     def __init__(self, link: Path | None, shared: SharedLine | None = None) -> None:
         self.requests: list[tuple[Request, Reply]] = []
-        self.told: list[dict[str, Any]] = []
+        self.reports: list[dict[str, Any]] = []
         self.robot = Robot(
             SerialPort(str(link), 115200) if link else None,
             lambda *request: self.requests.append(request),
             lambda: {"source": "streaming", "health": {"delivered_fps": 30.0}},
-            lambda payload: self.told.append(json.loads(payload)),
+            lambda payload: self.reports.append(json.loads(payload)),
             lambda: None,
             shared,
         )
@@ -67,11 +67,11 @@ class Side:
     def latest(self) -> dict[str, Any]:
         """``status/serial``."""
         self.robot.poll()
-        return self.told[-1] if self.told else {}
+        return self.reports[-1] if self.reports else {}
 
     def until(self, what: str, **wanted: Any) -> dict[str, Any]:
         wait_until(lambda: wanted.items() <= self.latest().items(), 30, f"{what}: {wanted}")
-        return self.told[-1]
+        return self.reports[-1]
 
 
 def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Frame, Reconstruction]:
@@ -110,7 +110,7 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
     assert counts["clock_restarts"] == 1  # its greeting
 
 
-def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(link: Path) -> None:
+def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_reported(link: Path) -> None:
     with PtyRobot(link, rate_hz=200, binary=True) as robot, Side(link) as side:
         side.until("synchronised", sync="two-way")
         robot.ask("STATUS")
@@ -119,9 +119,9 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(
         before = robot.replies[number]
         robot.unplug()
         side.until("away", state="away")
-        wait_until(lambda: robot.told.poses > 0, 5, "poses")
-        pose_count = robot.told.poses
-        wait_until(lambda: robot.told.poses > pose_count + 20, 5, "poses into nothing")
+        wait_until(lambda: robot.counts.poses > 0, 5, "poses")
+        pose_count = robot.counts.poses
+        wait_until(lambda: robot.counts.poses > pose_count + 20, 5, "poses into nothing")
         robot.plug()
         side.until("back", state="connected", sync="two-way", mode="BIN")
         wait_until(lambda: any(e.startswith("READY tacshade 1 away_ms=") for e in robot.events), 10, "EVT READY")
@@ -217,9 +217,9 @@ def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, mon
         assert not side.robot.commands.capture_pending
 
 
-def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = SerialPort.describe
-    monkeypatch.setattr(SerialPort, "describe", lambda port: {**told(port), "latency_ms": 16})
+def test_a_chip_that_holds_bytes_back_is_reported(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    describe = SerialPort.describe
+    monkeypatch.setattr(SerialPort, "describe", lambda port: {**describe(port), "latency_ms": 16})
     with PtyRobot(link), Side(link) as side:
         status = side.until("two-way", state="connected", sync="two-way")
     assert status["reason"] == "the port's chip holds bytes back for 16 ms; tacshade-edge doctor explains the fix"
@@ -447,7 +447,7 @@ def test_a_follower_has_the_poses_and_the_clock_of_the_one_that_has_the_port(
         assert sides[1].robot.health()["exchanges"] >= 1
 
 
-def test_an_owner_that_is_gone_is_told_by_those_that_follow(link: Path, sides: tuple[Side, Side]) -> None:
+def test_an_owner_that_is_gone_is_reported_by_those_that_follow(link: Path, sides: tuple[Side, Side]) -> None:
     with PtyRobot(link, rate_hz=50):
         wait_until(lambda: both(sides, state="connected"), 30, "both are connected")
         sides[0].robot.stop(stretched(5))  # and polls no more

@@ -80,7 +80,7 @@ def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevi
     return MapRevision("pad", number, 3, 2, 0xABCD, folder, lambda: of or raster())
 
 
-def test_a_growing_map_is_told_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_growing_map_is_reported_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
     reported: list[tuple[str, bytes]] = []
     publisher = MapPublisher(lambda topic, payload: reported.append((topic, payload)))
     assert [publisher.publish(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
@@ -107,7 +107,7 @@ def test_a_subscriber_decodes_the_map() -> None:
     np.testing.assert_allclose(cloud.points_mm, raster().points(), atol=1e-5)
 
 
-def test_a_large_map_is_told_with_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_map_is_reported_with_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_publisher, "POINTS_MAX", 300)
     points, spacing_mm = thinned_points(raster())
     assert 100 < len(points) <= 300

@@ -38,7 +38,7 @@ HAND = "tacshade/hand/left"
 
 
 class Command:
-    """``tacshade-edge run``, what it tells a service manager, and its log."""
+    """``tacshade-edge run``, its reports to a service manager, and its log."""
 
     def __init__(self, config: Path) -> None:
         self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

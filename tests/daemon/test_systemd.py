@@ -142,9 +142,9 @@ def test_a_bad_reload_keeps_what_runs(
     settings.write_text(good)
     app.reload()
     wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded"))
-    told = len(manager.heard)
-    wait_until(lambda: manager.has("STATUS=streaming", told))
-    assert not manager.has("rejected", told)
+    heard = len(manager.heard)
+    wait_until(lambda: manager.has("STATUS=streaming", heard))
+    assert not manager.has("rejected", heard)
 
 
 def test_a_reload_takes_over_profile_and_calibration_but_a_new_source_or_broker_waits_for_a_restart(
@@ -225,7 +225,7 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
         thread.join(patience(10))
 
 
-def test_a_manager_that_is_gone_is_told_and_no_end(
+def test_a_manager_that_is_gone_is_reported_and_no_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))

@@ -60,8 +60,8 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 @pytest.fixture
 def address(broker: Broker) -> Iterator[str]:
     """The page's, of a dashboard of this broker."""
-    with dashboard(f"127.0.0.1:{broker.port}") as told:
-        yield told
+    with dashboard(f"127.0.0.1:{broker.port}") as address:
+        yield address
 
 
 @pytest.fixture

@@ -59,7 +59,7 @@ async def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog
             with pytest.raises(ConnectionClosed):
                 await page.recv()
         assert connected == [1]
-    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # told once
+    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # reported once
 
 
 async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:

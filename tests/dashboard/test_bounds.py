@@ -55,7 +55,7 @@ def grid(**changed: Any) -> dict[str, Any]:
 
 
 def info(**changed: Any) -> dict[str, Any]:
-    """As the daemon tells it, with another geometry."""
+    """As the daemon reports it, with another geometry."""
     reported = messages.encode_info(
         version="0", config_digest="0", profile="fast", calibration=calibration(), profiles=("fast",)
     )

@@ -29,7 +29,7 @@ async def test_what_is_no_mqtt_is_refused(message: str | bytes, code: int) -> No
         assert closed.value.rcvd.code == code
 
 
-async def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
+async def test_a_broker_that_is_away_is_reported_and_tried_again() -> None:
     async def reason(port: int) -> str:
         async with websocket(port) as page:
             with pytest.raises(ConnectionClosed) as closed:

@@ -148,7 +148,7 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
 
 def test_several_hands(page: Chrome, tmp_path: Path) -> None:
     def tabs() -> list[str]:
-        # in one step: the page replaces the tabs when a sensor tells its state
+        # in one step: the page replaces the tabs when a sensor reports its state
         return list(js(page, "[...document.querySelectorAll('#sensors button')].map(tab => tab.innerText.trim())"))
 
     with (

@@ -28,7 +28,7 @@ def opacity(page: Chrome, element: str) -> float:
     return float(js(page, f"getComputedStyle(document.querySelector('{element}')).opacity"))
 
 
-def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
+def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_shown_at_once(
     page: Chrome, tmp_path: Path, calibration: Path
 ) -> None:
     with (

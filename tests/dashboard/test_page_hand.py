@@ -69,10 +69,10 @@ class WholeHand:
         fingers = {**dict.fromkeys(PLACES_MM, FREE), "thumb": thumb, **other}
         self._seq += 1
         message = HandObjects(t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), seq=self._seq, fingers=fingers)
-        told = json.loads(encode_hand(message))
-        for touched in chain.from_iterable(finger["objects"] for finger in told["fingers"].values()):
+        document = json.loads(encode_hand(message))
+        for touched in chain.from_iterable(finger["objects"] for finger in document["fingers"].values()):
             touched["motion"] = motion
-        self.own.publish("tacshade/hand/left/objects", json.dumps(told).encode(), 0)
+        self.own.publish("tacshade/hand/left/objects", json.dumps(document).encode(), 0)
         if touching:
             self.fingers["thumb"].show(touching)
 

@@ -102,12 +102,12 @@ def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_p
     words += [f"--{name}={path}" for name, path in zip(("certificate", "key"), certificate(tmp_path), strict=True)]
     with (
         Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}", *words) as told,
+        dashboard(f"127.0.0.1:{broker.port}", *words) as printed,
         PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
         browser(tmp_path / "chromium", "--ignore-certificate-errors") as page,
     ):
-        address, _, token = re.sub(r"//[^:]+", "//127.0.0.1", told).partition("login#")
+        address, _, token = re.sub(r"//[^:]+", "//127.0.0.1", printed).partition("login#")
         page.get(address)
         wait_until(lambda: page.current_url == f"{address}login", 15, "the login")
         page.find_element(By.NAME, "token").send_keys("of yesterday\n")

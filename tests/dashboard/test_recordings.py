@@ -209,7 +209,7 @@ async def test_one_recording_at_a_time_is_played_and_ends_with_the_page(
 ) -> None:
     recorded(tmp_path, "run")
     monkeypatch.setattr(recordings.sys, "executable", "/bin/cat")  # waits for nothing and complains
-    (tmp_path / "sleeper").write_text('#!/bin/sh\necho "$@" > "$0.told"\necho out of order >&2\nexec sleep 60\n')
+    (tmp_path / "sleeper").write_text('#!/bin/sh\necho "$@" > "$0.words"\necho out of order >&2\nexec sleep 60\n')
     (tmp_path / "sleeper").chmod(0o755)
 
     async with running(recordings=tmp_path) as port:
@@ -221,10 +221,10 @@ async def test_one_recording_at_a_time_is_played_and_ends_with_the_page(
         async with socket(port) as page:
             await page.send(json.dumps({"action": "play", "name": "run"}))
             assert json.loads(await page.recv())["ok"]
-            told = tmp_path / "sleeper.told"
-            while not told.exists() or not told.read_text():
+            words = tmp_path / "sleeper.words"
+            while not words.exists() or not words.read_text():
                 await asyncio.sleep(0.01)
-            assert told.read_text().split()[2:5] == ["replay", str(tmp_path / "run"), "--play"]
+            assert words.read_text().split()[2:5] == ["replay", str(tmp_path / "run"), "--play"]
             for action, error in (("play", "another recording"), ("delete", "is playing")):
                 first, _, _ = await asked(port, {"action": action, "name": "run"})
                 assert error in first["error"]

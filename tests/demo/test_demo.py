@@ -69,7 +69,7 @@ def gone(pid: int) -> bool:
         return True
 
 
-def test_a_child_that_ends_is_told_with_its_last_line(tmp_path: Path) -> None:
+def test_a_child_that_ends_is_reported_with_its_last_line(tmp_path: Path) -> None:
     child = Child("broker", ["sh", "-c", "echo first; echo; echo no room >&2; echo; exit 3"], tmp_path)
     with pytest.raises(DeviceError, match=r"^demo: the broker exited with status 3: no room$"):
         wait_for_port(child, free_port(), 20)
@@ -77,7 +77,7 @@ def test_a_child_that_ends_is_told_with_its_last_line(tmp_path: Path) -> None:
     assert "first" in child.output
 
 
-def test_a_child_that_does_not_listen_is_told(tmp_path: Path) -> None:
+def test_a_child_that_does_not_listen_is_reported(tmp_path: Path) -> None:
     child, port = Child("daemon", ["sleep", "60"], tmp_path), free_port()
     with pytest.raises(DeviceError, match=rf"^demo: the daemon did not listen on port {port} within 0 s$"):
         wait_for_port(child, port, 0.0)

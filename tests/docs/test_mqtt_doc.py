@@ -100,7 +100,7 @@ def test_the_decoder_of_a_hand_understands_and_refuses_every_vector() -> None:
             assert [finger["age_ms"] for finger in fingers.values()] == expect["ages_ms"]
 
 
-def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
+def test_what_is_reported_of_a_map_is_what_the_text_shows() -> None:
     z = np.array([[np.nan, 1.25, 1.5], [-0.5, np.nan, 0.75]], np.float32)
     revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
     reported: dict[str, bytes] = {}

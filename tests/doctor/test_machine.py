@@ -47,7 +47,7 @@ def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
         (("",), False),
     ],
 )
-def test_the_daemon_is_told_from_other_commands(machine: Any, words: tuple[str, ...], found: bool) -> None:
+def test_the_daemon_is_distinguished_from_other_commands(machine: Any, words: tuple[str, ...], found: bool) -> None:
     machine.process(7, *words)
     daemon = machine.daemon()
     assert (daemon is not None and daemon.pid == 7) is found
@@ -122,7 +122,7 @@ def test_disk(tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> N
 
 
 def test_the_facts_name_the_board_and_not_its_owner(machine: Any) -> None:
-    assert set(board_facts(machine)) == {"board", "cores", "kernel", "Python", "tacshade-edge"}, "all that is told"
+    assert set(board_facts(machine)) == {"board", "cores", "kernel", "Python", "tacshade-edge"}, "all that is reported"
     assert heat(machine) == ""
     for path, text in {
         MODEL: "Raspberry Pi | 5\x1b[31m" + "d" * 200,
@@ -141,18 +141,18 @@ def test_the_facts_name_the_board_and_not_its_owner(machine: Any) -> None:
     assert facts["cores"].endswith(", up to 2400 MHz")
     known = ("Cortex-A76", "7.9 GiB", "Debian GNU/Linux 12 (bookworm)")
     assert tuple(facts[name] for name in ("processor", "memory", "system")) == known
-    told = "\n".join(facts.values())
-    assert [secret for secret in (*SECRETS, socket.gethostname()) if secret in told] == []
-    assert getpass.getuser() not in told.split()
+    shown = "\n".join(facts.values())
+    assert [secret for secret in (*SECRETS, socket.gethostname()) if secret in shown] == []
+    assert getpass.getuser() not in shown.split()
 
 
 @pytest.mark.parametrize(
-    ("flags", "told"),
+    ("flags", "since_boot"),
     [("0", "never throttled"), ("50005", "under-voltage and throttled"), ("80000", "hot")],
 )
-def test_heat(machine: Any, flags: str, told: str) -> None:
+def test_heat(machine: Any, flags: str, since_boot: str) -> None:
     for zone, (kind, millidegrees) in enumerate((("cpu-thermal", 61200), ("rp1_adc", 80000))):
         machine.put(f"/sys/class/thermal/thermal_zone{zone}/type", kind)
         machine.put(f"/sys/class/thermal/thermal_zone{zone}/temp", str(millidegrees))
     machine.put(THROTTLED, flags)
-    assert heat(machine) == f"61 °C, {told} since boot"
+    assert heat(machine) == f"61 °C, {since_boot} since boot"

@@ -134,7 +134,7 @@ def traced(folder: Path, code: str) -> list[str]:
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
 def test_the_library_sends_nothing_and_writes_nothing(tmp_path: Path) -> None:
-    """From 1.29 on its wheels for Linux report to their maker, unless told not to."""
+    """From 1.29 on its wheels for Linux report to their maker, unless one forbids it."""
     assert traced(tmp_path, "import socket; socket.socket()") != []
     (tmp_path / "home").rmdir()
     assert traced(tmp_path, RUN) == []

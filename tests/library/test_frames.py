@@ -73,7 +73,7 @@ def test_a_settings_file_opens_its_source(recording: Path, sensor: ts.Sensor) ->
     assert next(ts.open(settings, sensor)).profile == "fast"
 
 
-def test_what_is_no_source_is_told(tmp_path: Path, sensor: ts.Sensor) -> None:
+def test_what_is_no_source_is_reported(tmp_path: Path, sensor: ts.Sensor) -> None:
     with pytest.raises(ts.ConfigError, match=r"expected a settings file \(\.yaml\) or a device"):
         ts.open(tmp_path, sensor)
     with pytest.raises(ts.DeviceError, match="/dev/video99"):

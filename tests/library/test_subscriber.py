@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 
-def test_an_absent_broker_is_told() -> None:
+def test_an_absent_broker_is_reported() -> None:
     with pytest.raises(
         ts.DeviceError, match="Connection refused; expected a broker that serves topics under tacshade/drawn/"
     ):
@@ -43,7 +43,7 @@ def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
         assert next(results, None) is None
 
 
-def test_a_broker_that_went_is_told_and_found_again(tmp_path: Path) -> None:
+def test_a_broker_that_went_is_reported_and_found_again(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
         broker.stop()
         with pytest.raises(ts.DeviceError, match="connection lost"):
@@ -83,7 +83,7 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             next(results)
 
 
-def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
+def test_a_broker_that_does_not_let_us_in_is_reported(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"dashboard": "word"}) as broker:
         where = f"127.0.0.1:{broker.port}"
         with pytest.raises(ts.DeviceError, match="rejects the connection: Not authorized"):

@@ -101,7 +101,7 @@ def test_the_extent_is_that_of_the_points_along_the_hands_axes(make_result: Call
     assert reported.extent_mm == pytest.approx((0.0, 2**0.5, 0.0), abs=1e-4)
 
 
-def test_a_finger_tells_of_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:
+def test_a_finger_reports_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:
     many = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 100 - k) for k in range(OBJECTS_MAX + 5))
     finger = finger_of(make_result(objects=many), TURNED)
     assert [o.area_mm2 for o in finger.objects] == [100.0 - k for k in range(OBJECTS_MAX)]

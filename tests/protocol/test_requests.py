@@ -60,7 +60,7 @@ def test_request(verb: str, payload: bytes, expected: Request) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "payload", "told"),
+    ("verb", "payload", "expected"),
     [
         ("reboot", b"{}", "expected one of reference, profile, status, record, stitch, replay"),
         ("replay", b'{"speed": 0}', ">= 0.01"),
@@ -90,10 +90,10 @@ def test_request(verb: str, payload: bytes, expected: Request) -> None:
         ("status", b" " * 4097, "at most 4096"),
     ],
 )
-def test_bad_request_says_what_and_what_was_expected(verb: str, payload: bytes, told: str) -> None:
+def test_bad_request_says_what_and_what_was_expected(verb: str, payload: bytes, expected: str) -> None:
     with pytest.raises(DecodeError) as caught:
         requests.parse_request(verb, payload)
-    assert told in str(caught.value)
+    assert expected in str(caught.value)
 
 
 @given(st.text(), st.binary() | st.recursive(st.none() | st.text(), st.lists).map(lambda v: json.dumps(v).encode()))

@@ -1,4 +1,4 @@
-"""What is told in JSON and announced to Home Assistant, and where a broker is, as people write it."""
+"""What is reported in JSON and announced to Home Assistant, and where a broker is, as people write it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
     make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
 ) -> None:
     result = make_result(objects=two_objects, volume_mm3=np.float64(3.5))
-    told = json.loads(messages.encode_contact(result, fps=59.5))
+    contact = json.loads(messages.encode_contact(result, fps=59.5))
     expected = {
         "t_ns": 1_000,
         "seq": 5,
@@ -54,7 +54,7 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "degraded_code": "",
         "wall_ns": 2_000,
     }
-    assert list(told.items()) == list(expected.items())  # in this order
+    assert list(contact.items()) == list(expected.items())  # in this order
     free = json.loads(messages.encode_contact(make_result(contact=False, volume_mm3=math.nan), fps=math.inf))
     assert [free[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "volume_mm3")] == [0, 0.0, 0, None, None]
 
@@ -73,14 +73,14 @@ def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[
     }
 
 
-def test_contact_tells_the_most_of_what_moves(
+def test_contact_reports_the_most_of_what_moves(
     make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
 ) -> None:
     one = replace(two_objects[0], shear_mm=(0.5, -0.5), twist_deg=3.0, slip=Slip.PARTIAL, slip_mm_s=0.5)
     other = replace(two_objects[1], shear_mm=(-2.0, 0.25), twist_deg=-4.0, slip=Slip.FULL, slip_mm_s=6.0)
     decoded = json.loads(messages.encode_contact(make_result(objects=(one, other)), fps=1.0))
-    told = [decoded[k] for k in ("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s")]
-    assert told == [-2.0, 0.25, -4.0, 2, 6.0]
+    moves = [decoded[k] for k in ("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s")]
+    assert moves == [-2.0, 0.25, -4.0, 2, 6.0]
 
 
 def test_info_places_a_pixel_in_mm() -> None:
@@ -97,10 +97,10 @@ def test_info_places_a_pixel_in_mm() -> None:
         alpha=15.0,
         crc32=0xDEADBEEF,
     )
-    told = messages.encode_info(
+    payload = messages.encode_info(
         version="1", config_digest="ab", profile="fast", calibration=calibration, profiles=("fast", "paper")
     )
-    info = json.loads(told)
+    info = json.loads(payload)
     assert info["reference"] is None
     assert info["fitted"] == []
     again = messages.encode_info(
@@ -139,7 +139,7 @@ def test_status_and_health() -> None:
         codec.encode_json({"captured": object()})
 
 
-def test_what_a_daemon_tells_is_understood() -> None:
+def test_what_a_daemon_reports_is_understood() -> None:
     info = topics.decode_info(json.dumps(INFO).encode())
     assert info.geometry is not None
     assert info.geometry.geometry == calibration().geometry
@@ -187,7 +187,7 @@ def test_a_state_that_is_none_is_refused_in_one_line(sent: bytes) -> None:
         {"invalid_reason_code": "torn\n"},
     ],
 )
-def test_a_health_that_no_daemon_tells_is_refused(changed: dict[str, Any]) -> None:
+def test_a_health_that_no_daemon_reports_is_refused(changed: dict[str, Any]) -> None:
     with pytest.raises(DecodeError, match=r"^health: "):
         topics.decode_health(json.dumps({**json.loads(health()), **changed}).encode())
 

@@ -23,10 +23,10 @@ from support.booted_service import (
     frozen,
     journal,
     process,
+    report,
     sh,
     show,
     streaming,
-    tell,
     threads,
     until,
 )
@@ -206,7 +206,7 @@ def package_is_purged() -> dict[str, Any]:
 def main() -> None:
     clone = (installs, starts, killed, reloads, hangs, stops, camera_is_absent, configuration_is_bad)
     package = (package_installs, package_upgrades, clone_is_refused, package_is_removed, package_is_purged)
-    tell(*clone, *((package_is_refused, uninstalls, *package) if OLDER.exists() else (uninstalls,)))
+    report(*clone, *((package_is_refused, uninstalls, *package) if OLDER.exists() else (uninstalls,)))
 
 
 if __name__ == "__main__":

@@ -29,11 +29,13 @@ pytestmark = pytest.mark.slow
 
 def debians_python() -> str:
     """The version of Debian's own Python; empty where it is not installed as a package."""
-    told = subprocess.run(["dpkg", "--print-architecture"], capture_output=True, text=True, check=False).stdout.strip()
+    architecture = subprocess.run(
+        ["dpkg", "--print-architecture"], capture_output=True, text=True, check=False
+    ).stdout.strip()
     words = ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
     found = subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
     owned = subprocess.run(["dpkg", "--status", "python3"], capture_output=True, check=False).returncode == 0
-    return found if owned and told == "amd64" and found in RELEASES else ""
+    return found if owned and architecture == "amd64" and found in RELEASES else ""
 
 
 def built(folder: Path) -> Path | str:
@@ -110,8 +112,8 @@ def package(made: Path | str) -> Path:
 
 
 def field(package: Path, name: str) -> str:
-    told = subprocess.run(["dpkg-deb", "--field", package, name], capture_output=True, text=True, check=True)
-    return told.stdout.strip()
+    field = subprocess.run(["dpkg-deb", "--field", package, name], capture_output=True, text=True, check=True)
+    return field.stdout.strip()
 
 
 def streams(now: dict[str, str]) -> bool:

@@ -65,7 +65,7 @@ def as_shipped(tmp_path: Path) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def filled_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """As its comments tell to serve other machines: TLS, passwords, ACL."""
+    """As its comments state, to serve other machines: TLS, passwords, ACL."""
     folder, port = tmp_path_factory.mktemp("filled_in"), free_port()
     key, certificate, passwords = folder / "server.key", folder / "server.crt", folder / "passwd"
     options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
@@ -89,7 +89,7 @@ def filled_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 class User:
-    """One MQTT 5 connection; what it was told and sent."""
+    """One MQTT 5 connection; what it received and sent."""
 
     def __init__(self, served: Served, name: str | None, password: str | None = None) -> None:
         self.connected: list[str] = []
@@ -207,8 +207,8 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp
         try:
 
             def both() -> bool:
-                told = [m for m in list(dashboard.messages) if m.topic == topic][-1:]
-                return any({f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"} for m in told)
+                last = [m for m in list(dashboard.messages) if m.topic == topic][-1:]
+                return any({f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"} for m in last)
 
             wait_until(both, 30, "the hand reports both fingers")
             wait_until(lambda: f"tacshade/{SENSOR}/state" in dashboard.topics(), 30, "the finger hears requests")

@@ -56,13 +56,13 @@ def test_nor_of_what_lets_it_use_other_devices(tmp_path: Path, name: str) -> Non
 
 @needs_analyze
 def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
-    told = analyze("security", "--offline=true", "--no-pager", unit(tmp_path))
-    assert 0.1 < float(re.search(r"exposure level for \S+: ([\d.]+)", told)[1]) <= EXPOSURE_MAX  # type: ignore[index]
+    report = analyze("security", "--offline=true", "--no-pager", unit(tmp_path))
+    assert 0.1 < float(re.search(r"exposure level for \S+: ([\d.]+)", report)[1]) <= EXPOSURE_MAX  # type: ignore[index]
 
 
 def install(root: Path, *words: str, **environment: str) -> str:
-    told = {"DESTDIR": str(root), "PATH": "/usr/bin:/bin", **environment}
-    done = subprocess.run([FILES / "install.sh", *words], env=told, capture_output=True, text=True, check=True)
+    environ = {"DESTDIR": str(root), "PATH": "/usr/bin:/bin", **environment}
+    done = subprocess.run([FILES / "install.sh", *words], env=environ, capture_output=True, text=True, check=True)
     assert done.stderr == ""
     return done.stdout
 

@@ -186,7 +186,7 @@ def test_where_names_the_line_of_a_key_or_only_the_file(tmp_path: Path) -> None:
     assert document.where("calibration") == f"{document.path}: calibration"
 
 
-def test_the_digest_tells_settings_apart() -> None:
+def test_the_digest_distinguishes_settings() -> None:
     assert digest(Settings()) == digest(Settings(source=V4l2()))
     assert digest(Settings()) != digest(Settings(sensor_id="b"))
     assert re.fullmatch("[0-9a-f]{12}", digest(Settings()))

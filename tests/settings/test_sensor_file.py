@@ -68,7 +68,7 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         (LEAST + "print: {pin_length_mm: 0}\n", r":4: print\.pin_length_mm: found 0"),
     ],
 )
-def test_a_wrong_sensor_is_told_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_sensor_is_named_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as refusal:
         read_sensor(sensor_file(tmp_path, text))
     assert "\n" not in str(refusal.value)

@@ -1,4 +1,4 @@
-"""Files of every kind that we read, damaged: reading gives a value or one line, and what has a checksum tells."""
+"""Files of every kind that we read, damaged: reading gives a value or one line, and what has a checksum reports it."""
 
 from __future__ import annotations
 
@@ -247,14 +247,14 @@ def warnings_kept() -> Iterator[list[str]]:
 
 def read(kind: Kind, changed: Files) -> tuple[Any, list[str]]:
     """Read files as the program does; the value is None and the last line is the error if it refuses them."""
-    with TemporaryDirectory(dir="/dev/shm") as name, warnings_kept() as told:
+    with TemporaryDirectory(dir="/dev/shm") as name, warnings_kept() as lines:
         for path, content in (kind.files | changed).items():
             (Path(name) / path).parent.mkdir(parents=True, exist_ok=True)
             (Path(name) / path).write_bytes(content)
         try:
-            return kind.read(Path(name)), told
+            return kind.read(Path(name)), lines
         except TacshadeError as error:
-            return None, [*told, str(error)]
+            return None, [*lines, str(error)]
 
 
 @pytest.mark.slow
@@ -269,11 +269,11 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name: str, data: st.DataO
     content = kind.files[file]
     for _ in range(data.draw(st.sampled_from((1, 1, 2, 5)))):
         content = data.draw(damage(content, file.endswith((".yaml", ".csv", ".json"))))
-    value, told = read(kind, {file: content})
-    assert all("\n" not in line and len(line) < LINE_CHARS_MAX for line in told)
+    value, lines = read(kind, {file: content})
+    assert all("\n" not in line and len(line) < LINE_CHARS_MAX for line in lines)
     # Presses that are cut off between two of them are presses that were not written yet.
     begun = name == "session" and value is not None and value == good[: len(value)]
-    assert value == good or told or begun or not kind.checked
+    assert value == good or lines or begun or not kind.checked
 
 
 @pytest.mark.slow
@@ -301,8 +301,8 @@ def test_wrong_content_behind_a_right_checksum_is_used_or_refused_in_one_line(na
         del meta[key]
     else:
         meta[key] = data.draw(junk)
-    _, told = read(kind, {file: Content(meta, arrays).packed()})
-    assert all("\n" not in line and len(line) < LINE_CHARS_MAX for line in told)
+    _, lines = read(kind, {file: Content(meta, arrays).packed()})
+    assert all("\n" not in line and len(line) < LINE_CHARS_MAX for line in lines)
 
 
 @pytest.mark.parametrize("sides", [(0, 1), (8193, 8193), (30_000, 30_000), (2**31 - 1, 2**32 - 1)])
@@ -310,6 +310,6 @@ def test_a_png_that_states_another_size_behind_a_right_checksum(sides: tuple[int
     kind = kinds()[".png"]
     ((file, content),) = kind.files.items()
     head = struct.pack(">4s2I5B", b"IHDR", *sides, 8, 0, 0, 0, 0)
-    value, told = read(kind, {file: content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:]})
+    value, lines = read(kind, {file: content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:]})
     assert value is None
-    assert "\n" not in told[-1]
+    assert "\n" not in lines[-1]

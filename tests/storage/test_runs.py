@@ -82,7 +82,7 @@ def test_nothing_of_a_run_shows_before_it_is_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_damage_is_told(tmp_path: Path) -> None:
+def test_damage_is_reported(tmp_path: Path) -> None:
     heights = write(tmp_path) / HEIGHTS
     whole = heights.read_bytes()
     for size in (len(whole) - 1, 50):
@@ -160,7 +160,7 @@ def test_the_first_difference_is_named(tmp_path: Path, change: Change, said: str
     assert found.startswith(said), found
 
 
-def test_a_shorter_run_is_the_last_to_be_told(tmp_path: Path) -> None:
+def test_a_shorter_run_is_the_last_to_be_reported(tmp_path: Path) -> None:
     run, short = write(tmp_path / "run"), write(tmp_path / "short", frames=2)
     assert first_difference(run, short) == "frames: 3, against 2"
     assert first_difference(short, run) == "frames: 2, against 3"

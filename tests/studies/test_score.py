@@ -246,7 +246,7 @@ def test_what_simulate_writes_is_a_truth(tmp_path: Path) -> None:
     assert (len(known.points_mm) > 1000, name) == (True, "ball")
 
 
-def test_what_cannot_be_scored_is_told_and_the_others_go_on(tmp_path: Path) -> None:
+def test_what_cannot_be_scored_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
     put(tmp_path, "a", TOUCHED, truth())
     put(tmp_path, "alone", TOUCHED, None)
     put(tmp_path, "large", cv2.resize(TOUCHED, (320, 240)), truth())

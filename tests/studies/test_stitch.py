@@ -137,7 +137,7 @@ def test_errors_are_measured_where_something_was_touched() -> None:
     assert s.raised_mean_mm == pytest.approx(0.1, abs=1e-5)
 
 
-def test_another_frame_is_told() -> None:
+def test_another_frame_is_reported() -> None:
     with pytest.raises(ConfigError, match="share no cell"):
         score(replace(KNOWN, x0_mm=500.0), KNOWN)
 

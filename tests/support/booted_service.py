@@ -66,7 +66,7 @@ def journal() -> str:
     return sh("journalctl", "--unit", UNIT, "--output=cat", "--no-pager")[1]
 
 
-def tell(*steps: Callable[[], object]) -> None:
+def report(*steps: Callable[[], object]) -> None:
     """Take the steps; what each saw, and the journal, to /payload/seen.json for the tests that judge."""
     seen: dict[str, Any] = {}
     for step in steps:

@@ -19,9 +19,9 @@ def dashboard(broker: str, *words: str) -> Iterator[str]:
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout is not None
-        told = child.stdout.readline()
-        found = re.search(r"https?://\S+", told)
-        assert found, told
+        line = child.stdout.readline()
+        found = re.search(r"https?://\S+", line)
+        assert found, line
         yield found[0]
         child.send_signal(signal.SIGTERM)
         assert child.wait(patience(10)) == 0

@@ -36,8 +36,8 @@ def recorded(folder: Path, name: str, wall_ns: int = LONG_AGO_S * 10**9, **about
     path.mkdir(parents=True)
     (path / "000000.png").write_bytes(b"a picture of 600 bytes".ljust(600, b"."))
     (path / "frames.csv").write_text("image,t_ns\n")
-    told = {"frames": 1, "bytes": 600, "first_wall_ns": wall_ns, **about}
-    (path / "recording.json").write_text(json.dumps(told))
+    status = {"frames": 1, "bytes": 600, "first_wall_ns": wall_ns, **about}
+    (path / "recording.json").write_text(json.dumps(status))
     return path
 
 

@@ -10,10 +10,10 @@ lose : [int]       frames that the sensor takes and nobody gets
 settle : int       so many first frames have another exposure
 exposure : float   times what was asked
 extra_bytes : int  more (or fewer) in each frame
-records : bool     whether it tells of frames
+records : bool     whether it describes frames
 says : str         written to its standard error before it ends with 255, at once
 stalls : int       after so many frames it writes nothing more
-behind : int       so many first frames come at once, then what it tells of them, of the last one a little later
+behind : int       so many first frames come at once, then what it says of them, of the last one a little later
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def main() -> int:
             if n + 1 >= behind:
                 sys.stdout.buffer.flush()
             exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
-            told = {
+            values = {
                 "SensorTimestamp": stamp_ns,
                 "ExposureTime": round(exposure),
                 "AnalogueGain": f"{args.gain:.6f}",
@@ -102,8 +102,8 @@ def main() -> int:
                 "ColourGains": "[ 1.000000, 1.000000 ]",
             }
             if do.get("lens"):
-                told["LensPosition"] = 1.0 if args.lens_position == "default" else float(args.lens_position)
-            text = "".join(f"{key}={value}\n" for key, value in told.items()).encode() + b"\n"
+                values["LensPosition"] = 1.0 if args.lens_position == "default" else float(args.lens_position)
+            text = "".join(f"{key}={value}\n" for key, value in values.items()).encode() + b"\n"
             if n + 1 < behind:
                 waiting += text
                 continue

@@ -50,7 +50,7 @@ def document(folder: Path, port: int, more: str = "") -> Document:
 
 
 class Running:
-    """An app in a thread of its own; `end` stops it and tells how long that took."""
+    """An app in a thread of its own; `end` stops it and returns how long that took."""
 
     def __init__(self, settings: Document, source: Any, calibration: Calibration | Reason) -> None:
         self.app = App(settings, source, calibration)

@@ -42,7 +42,7 @@ def git(folder: Path, *words: str) -> str:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A repository with what git's archive tells its version by."""
+    """A repository whose git archive states its version."""
     made = tmp_path / "tree"
     (made / "tools/release").mkdir(parents=True)
     for name in (".gitattributes", "tools/release/archive_version.txt"):
@@ -153,10 +153,10 @@ def entries() -> list[tuple[Requirement, list[str]]]:
 
 def pinned(python: str) -> dict[str, str]:
     """Versions by name, for one Python on a board."""
-    told = {"python_version": python, "python_full_version": f"{python}.7", "sys_platform": "linux"}
+    environment = {"python_version": python, "python_full_version": f"{python}.7", "sys_platform": "linux"}
     found: dict[str, str] = {}
     for requirement, _ in entries():
-        if requirement.marker is None or requirement.marker.evaluate(told):
+        if requirement.marker is None or requirement.marker.evaluate(environment):
             assert requirement.name not in found
             (only,) = requirement.specifier
             assert only.operator == "=="

@@ -50,7 +50,7 @@ def test_towards_the_edge_and_turned_along_it() -> None:
     assert velocity == pytest.approx((10.0, along + 8.0, 2.0, 0.0, 0.0, -20.0))
 
 
-def test_a_robot_stops_when_it_is_not_told_to_go_on() -> None:
+def test_a_robot_stops_when_it_is_not_sent_on() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind(("127.0.0.1", 0))
         line.settimeout(10)

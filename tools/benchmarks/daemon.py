@@ -102,13 +102,13 @@ def subscriber(port: int, warm_up: int, topics: str) -> None:
     done.wait()
     client.disconnect()
     client.loop_stop()
-    told: dict[str, Any] = {"received": len(latencies), "distinct": len(seqs), "health": health}
+    heard: dict[str, Any] = {"received": len(latencies), "distinct": len(seqs), "health": health}
     steady = sorted(latencies[warm_up:])
     if steady:
-        told["first_ns"] = arrived_ns[0]
-        told |= {name: steady[int(len(steady) * part)] for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))}
-        told["max_ms"] = steady[-1]
-    print(json.dumps(told))
+        heard["first_ns"] = arrived_ns[0]
+        heard |= {name: steady[int(len(steady) * part)] for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))}
+        heard["max_ms"] = steady[-1]
+    print(json.dumps(heard))
 
 
 def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args: argparse.Namespace) -> dict[str, Any]:
@@ -148,18 +148,18 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
         memory = memory_mb(worker.pid)
         worker.send_signal(signal.SIGTERM)
         code = worker.wait(20)
-        told: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
+        heard: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
     finally:
         worker.kill()
         listen.kill()
-    frames = told["health"]["frames"]
+    frames = heard["health"]["frames"]
     accounted = code == 0 and frames["pending"] == 0
     accounted = accounted and frames["captured"] == sum(n for outcome, n in frames.items() if outcome != "captured")
     if topics:
-        accounted = accounted and told["received"] == told["distinct"] == frames["published"]
-    if "first_ns" in told:
-        told["first_map_s"] = told["first_ns"] / 1e9 - began_s
-    return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **told, "accounted": accounted}
+        accounted = accounted and heard["received"] == heard["distinct"] == frames["published"]
+    if "first_ns" in heard:
+        heard["first_map_s"] = heard["first_ns"] / 1e9 - began_s
+    return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **heard, "accounted": accounted}
 
 
 def record(config: Path, seconds: float, format_: str) -> None:
@@ -269,7 +269,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
-    parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
+    parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are printed")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
     for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
@@ -293,7 +293,7 @@ def main() -> int:
                     if row in RECORDING:
                         recorded = runs[row][-1]["health"]["recorder"]
                         hours.append(an_hour(folder / "recs" / RECORDING[row], recorded, args.fps))
-        told = encoding(folder) if args.record else ""
+        encoded = encoding(folder) if args.record else ""
     results = {row: best(made) for row, made in runs.items()}
     print(table(results))
     if not args.record:
@@ -302,7 +302,7 @@ def main() -> int:
         stages = results[row]["health"]["stages_ms"]
         print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
     if args.record:
-        print("\n".join((*hours, told)))
+        print("\n".join((*hours, encoded)))
     return 0 if all(r["accounted"] for r in results.values()) else 1
 
 

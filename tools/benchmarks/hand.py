@@ -85,8 +85,8 @@ def subscriber(port: int, names: list[str]) -> None:
     client.disconnect()
     client.loop_stop()
     ages_ms, later_ms = ages(messages, own_ns)
-    told = {"objects_ms": ages_ms, "later_ms": later_ms, "messages": len(messages)}
-    print(json.dumps({"latencies": latencies, "health": health, **told}))
+    figures = {"objects_ms": ages_ms, "later_ms": later_ms, "messages": len(messages)}
+    print(json.dumps({"latencies": latencies, "health": health, **figures}))
 
 
 def ages(
@@ -143,27 +143,27 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
         for worker in workers:
             worker.send_signal(signal.SIGTERM)
         codes = [worker.wait(30) for worker in workers]
-        told = json.loads(listen.communicate(timeout=30)[0])
+        heard = json.loads(listen.communicate(timeout=30)[0])
     finally:
         for worker in workers:
             worker.kill()
         listen.kill()
-    frames = told["health"]
+    frames = heard["health"]
     accounted = not any(codes) and len(frames) == len(names)
     for name in names:
         counts = frames[name]
         accounted &= counts["pending"] == 0
         accounted &= counts["captured"] == sum(n for outcome, n in counts.items() if outcome != "captured")
-        accounted &= len(told["latencies"][name]) == counts["published"]
-    steady = sorted(ms for each in told["latencies"].values() for ms in each[round(2 * args.fps) :])
+        accounted &= len(heard["latencies"][name]) == counts["published"]
+    steady = sorted(ms for each in heard["latencies"].values() for ms in each[round(2 * args.fps) :])
     of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
     captured = sum(counts["captured"] for counts in frames.values())
     found = {"memory_mb": memory, "cpu": cpu, **of, "max_ms": steady[-1], "captured": captured, "accounted": accounted}
     if row == "objects":
         for what in ("objects", "later"):
-            times_ms = sorted(told[f"{what}_ms"][round(2 * args.fps) :])
+            times_ms = sorted(heard[f"{what}_ms"][round(2 * args.fps) :])
             found |= {f"{what}_p{p}_ms": times_ms[int(len(times_ms) * p / 100)] for p in (50, 99)}
-        found["objects_per_s"] = told["messages"] / args.seconds
+        found["objects_per_s"] = heard["messages"] / args.seconds
     return found
 
 
@@ -216,11 +216,11 @@ def main() -> int:
         for row, r in results.items()
     ]
     print(markdown(head, rows))
-    told = results["objects"]
+    found = results["objects"]
     print(
-        f"\nobjects: {told['objects_per_s']:.0f} messages/s, the newest frame {told['objects_p50_ms']:.1f} ms (p50), "
-        f"{told['objects_p99_ms']:.1f} ms (p99) old, later than in its finger's own message by "
-        f"{told['later_p50_ms']:.1f} ms (p50), {told['later_p99_ms']:.1f} ms (p99)"
+        f"\nobjects: {found['objects_per_s']:.0f} messages/s, the newest frame {found['objects_p50_ms']:.1f} ms (p50), "
+        f"{found['objects_p99_ms']:.1f} ms (p99) old, later than in its finger's own message by "
+        f"{found['later_p50_ms']:.1f} ms (p50), {found['later_p99_ms']:.1f} ms (p99)"
     )
     return 0 if all(r["accounted"] for r in results.values()) else 1
 

@@ -52,7 +52,7 @@ def main() -> None:
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     link.start()
-    zero_ns, seq, told_ns = time.monotonic_ns(), 0, 0
+    zero_ns, seq, contact_ns = time.monotonic_ns(), 0, 0
     while not stop.is_set():
         seq = max(seq + 1, (time.monotonic_ns() - zero_ns) // period_ns)
         t_ns = zero_ns + seq * period_ns
@@ -64,8 +64,8 @@ def main() -> None:
             link.offer("cloud", stamped(pair[1], seq, t_ns), seq)
         else:
             ledger.settle(seq, "without_contact")
-        if pair is not None or t_ns - told_ns >= CONTACT_PERIOD_NS:
-            told_ns = t_ns
+        if pair is not None or t_ns - contact_ns >= CONTACT_PERIOD_NS:
+            contact_ns = t_ns
             link.offer(
                 "contact", json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode(), seq
             )

@@ -160,7 +160,9 @@ class Killed:
                 self.problems.append(f"recording {folder.name}: {error}")
         finished = self._finished.get(folder)
         if read < frames or (finished is not None and (read != finished or not (folder / "recording.json").exists())):
-            self.problems.append(f"recording {folder.name}: {read} frames are there, {finished or frames} were told")
+            self.problems.append(
+                f"recording {folder.name}: {read} frames are there, {finished or frames} were reported"
+            )
         self.said["frames read again"] += read
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -53,7 +53,7 @@ class Seen:
     """
 
     lost: str
-    told: str
+    where: str
     detected_s: float | None = None
     recovered_s: float | None = None
 
@@ -155,12 +155,12 @@ class Cell:
             return subprocess.Popen(words, stderr=stream, env=os.environ | (environment or {}))
 
     @contextlib.contextmanager
-    def second(self, told: str) -> Iterator[float]:
-        """Run another daemon on the same settings until its log contains `told`; yield the seconds that this took."""
+    def second(self, line: str) -> Iterator[float]:
+        """Run another daemon on the same settings until its log contains `line`; yield the seconds that this took."""
         began_s = time.monotonic()
         other = self.spawn(self.folder / "s.yaml", "other")
         try:
-            self.until(lambda: told in self.log("other"), 20, f"{told}: {self.log('other')[-300:]!r}")
+            self.until(lambda: line in self.log("other"), 20, f"{line}: {self.log('other')[-300:]!r}")
             yield time.monotonic() - began_s
         finally:
             other.kill()
@@ -188,7 +188,7 @@ class Cell:
         self.seen.messages.clear()
         return time.monotonic()
 
-    def told(self, pattern: str, since_s: float, seconds: float = 30) -> float:
+    def reported(self, pattern: str, since_s: float, seconds: float = 30) -> float:
         """Wait until a new line of the log matches; return the seconds since `since_s`."""
         self.until(lambda: re.search(pattern, self.new_log()), seconds, f"{pattern} in {self.new_log()[-300:]!r}")
         return time.monotonic() - since_s
@@ -262,14 +262,14 @@ class Cell:
 def frames_of(path: Path) -> tuple[list[int], list[str]]:
     """Read a recording's time stamps in ns, and the reports of damage."""
     recording, stamps_ns = Recording(path), list[int]()
-    told: list[str] = []
+    damage: list[str] = []
     while True:
         try:
             if (recorded := recording.read()) is None:
-                return stamps_ns, told
+                return stamps_ns, damage
             stamps_ns.append(recorded.frame.t_ns)
         except DecodeError as error:
-            told.append(str(error))
+            damage.append(str(error))
 
 
 @contextlib.contextmanager

@@ -124,9 +124,9 @@ class Soak:
             ):
                 self.counts[f"{who}: connections"] += 1
                 while not self.over.is_set():
-                    told = viewer.recv(timeout=STALL_S)
-                    if isinstance(told, str):
-                        offered = json.loads(told).get("channels", ())
+                    text = viewer.recv(timeout=STALL_S)
+                    if isinstance(text, str):
+                        offered = json.loads(text).get("channels", ())
                         wanted = [{"id": one["id"], "channelId": one["id"]} for one in offered]
                         viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
                         continue
@@ -211,9 +211,9 @@ class Soak:
         """
         warm_up_s = min(WARM_UP_S, self.took_s / 4)
         middle_s = (warm_up_s + self.took_s) / 2
-        told = self.resident_mb[process]
-        first = min(mb for at_s, mb in told if warm_up_s < at_s <= middle_s)
-        return min(mb for at_s, mb in told if at_s > middle_s) / first - 1
+        sizes = self.resident_mb[process]
+        first = min(mb for at_s, mb in sizes if warm_up_s < at_s <= middle_s)
+        return min(mb for at_s, mb in sizes if at_s > middle_s) / first - 1
 
     def judge(self) -> None:
         """Check the last health messages and the memory."""
@@ -238,9 +238,9 @@ class Soak:
                 {"dropped by the source, and counted": health["source_dropped"]}
             )
         rows += [f"| frames of all fingers: {outcome} | {count} |" for outcome, count in outcomes.items()]
-        for number, (process, told) in enumerate(self.resident_mb.items()):
+        for number, (process, sizes) in enumerate(self.resident_mb.items()):
             name = re.sub(r" \d+$", f" {number}", process)
-            most = max(mb for _, mb in told)
+            most = max(mb for _, mb in sizes)
             rows.append(f"| {name}: most MB, change of the least | {most:.0f}, {self.change(process):+.1%} |")
         return "\n".join((*rows, f"| not accounted for, out of order, ended, grown | {len(self.problems)} |"))
 
@@ -299,8 +299,8 @@ def run(seconds: float) -> tuple[str, list[str]]:
         if code:
             soak.problems.append(f"exit code {code}: {logs['log'][-1000:]}")
         serial = soak.health.get(FINGERS[0], {}).get("serial", {"poses": 0, "poses_lost": 1 << 60})
-        if serial["poses"] + serial["poses_lost"] > robot.told.poses:
-            soak.problems.append(f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.told.poses}")
+        if serial["poses"] + serial["poses_lost"] > robot.counts.poses:
+            soak.problems.append(f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.counts.poses}")
         soak.counts["lines of the hand's log"] = len(logs["log"].splitlines())
         soak.judge()
         return soak.table(), soak.problems

@@ -36,7 +36,7 @@ def killed(cell: Cell) -> Seen:
     before = cell.frames()["failed"]
     since_s = cell.mark()
     cell.broker.kill()
-    detected_s = cell.told("connection lost|Connection refused", since_s)
+    detected_s = cell.reported("connection lost|Connection refused", since_s)
     pause(AWAY_S)
     cell.broker.start()
     recovered_s = cell.maps_again()
@@ -72,7 +72,7 @@ def network_stalls(cell: Cell) -> Seen:
     before = cell.frames()["failed"]
     since_s = cell.mark()
     cell.broker.stall()
-    detected_s = cell.told("connection lost", since_s)
+    detected_s = cell.reported("connection lost", since_s)
     cell.broker.resume()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
@@ -85,8 +85,8 @@ def denied(cell: Cell) -> Seen:
     rules.write_text("topic read #\ntopic write tacshade/other/#\n")
     cell.serve(more=(f"acl_file {rules}",))
     began_s = cell.start(streams=False)
-    detected_s = cell.told("Not authorized", began_s)
-    cell.told("source streaming", began_s)
+    detected_s = cell.reported("Not authorized", began_s)
+    cell.reported("source streaming", began_s)
     assert cell.seen.of(f"{BASE}/height") == []
     return Seen("all maps, counted as failed", "log, `health.mqtt.refused`; `doctor`", detected_s)
 
@@ -121,8 +121,8 @@ def flood(cell: Cell) -> Seen:
     assert len(lines) < 60, len(lines)
     assert not any("\x1b" in line for line in lines)
     cell.frames()
-    told = f"answers; {len(lines)} lines of log"
-    return Seen("requests over 16 that wait, refused as busy", told, None, answered_s)
+    where = f"answers; {len(lines)} lines of log"
+    return Seen("requests over 16 that wait, refused as busy", where, None, answered_s)
 
 
 # The robot's line, the frames, the calibration and the settings; the guest tests a camera's own faults.
@@ -146,13 +146,13 @@ def unplugged(cell: Cell) -> Seen:
     robot = _robot(cell)
     since_s = cell.mark()
     robot.unplug()
-    detected_s = cell.told("serial away", since_s)
+    detected_s = cell.reported("serial away", since_s)
     pause(AWAY_S)
     robot.plug()
     recovered_s = _synchronised(cell)
     lost = cell.last("health")["serial"]["poses_lost"]
-    told = "log, `status/serial`, EVT to the robot"
-    return Seen(f"{lost} poses so far, counted", told, detected_s, recovered_s)
+    where = "log, `status/serial`, EVT to the robot"
+    return Seen(f"{lost} poses so far, counted", where, detected_s, recovered_s)
 
 
 @fault("robot restarts")
@@ -160,11 +160,11 @@ def restarts(cell: Cell) -> Seen:
     """Its clock begins anew."""
     robot = _robot(cell, Faults(reboot_s=6.0))
     cell.mark()
-    boots = robot.told.boots
-    cell.until(lambda: robot.told.boots > boots, 20, "a reboot")
+    boots = robot.counts.boots
+    cell.until(lambda: robot.counts.boots > boots, 20, "a reboot")
     since_s = time.monotonic()
-    detected_s = cell.told("the robot sent a greeting", since_s)
-    recovered_s = cell.told("sync two-way", since_s)
+    detected_s = cell.reported("the robot sent a greeting", since_s)
+    recovered_s = cell.reported("sync two-way", since_s)
     return Seen("poses until the clocks agree again", "log, `status/serial`", detected_s, recovered_s)
 
 
@@ -199,17 +199,17 @@ def black(cell: Cell) -> Seen:
 
     since_s = cell.mark()
     show([cv2.imencode(".png", BLACK)[1].tobytes()] * 2)
-    detected_s = cell.told("source unusable", since_s)
+    detected_s = cell.reported("source unusable", since_s)
     show(shown)
-    told = "log, `state` degraded, `status/camera`"
-    return Seen("those frames, counted as invalid", told, detected_s, cell.maps_again())
+    where = "log, `state` degraded, `status/camera`"
+    return Seen("those frames, counted as invalid", where, detected_s, cell.maps_again())
 
 
 def _reloaded(cell: Cell, pattern: str) -> float:
     """Reload the settings and wait for a line of the log; return the seconds."""
     since_s = cell.mark()
     cell.daemon.send_signal(signal.SIGHUP)
-    return cell.told(pattern, since_s)
+    return cell.reported(pattern, since_s)
 
 
 @fault("a damaged calibration at a reload")
@@ -281,8 +281,8 @@ def read_while_recording(cell: Cell) -> Seen:
         cell.record(name, format=kind)
         path, most = cell.folder / "recs" / name, 0
         for _ in range(12):
-            stamps_ns, told = frames_of(path / "000.mcap.part" if kind == "mcap" else path)
-            assert not told, told
+            stamps_ns, damage = frames_of(path / "000.mcap.part" if kind == "mcap" else path)
+            assert not damage, damage
             assert len(stamps_ns) >= most, (len(stamps_ns), most)
             most, reads = len(stamps_ns), reads + 1
             pause(0.2)
@@ -290,8 +290,8 @@ def read_while_recording(cell: Cell) -> Seen:
         assert cell.ask("record", action="stop")["ok"]
         cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
         status = cell.last("status/recorder")
-        stamps_ns, told = frames_of(path / "000.mcap" if kind == "mcap" else path)
-        assert (len(stamps_ns), told, status["dropped"]) == (status["frames"], [], 0), (told, status)
+        stamps_ns, damage = frames_of(path / "000.mcap" if kind == "mcap" else path)
+        assert (len(stamps_ns), damage, status["dropped"]) == (status["frames"], [], 0), (damage, status)
         cell.mark()
     return Seen(f"nothing in {reads} readings; each has what was written until then", "")
 
@@ -315,14 +315,14 @@ def full_in_a_session(cell: Cell) -> Seen:
     cell.start()
     cell.session()
     filler = _fill(disk)
-    detected_s = cell.told("did not add a settled contact", cell.mark())
+    detected_s = cell.reported("did not add a settled contact", cell.mark())
     presses = cell.ask("stitch", action="status")["result"]["presses"]
     filler.unlink()
     since_s = time.monotonic()
     cell.presses(presses + 1)
     missed = cell.last("status/stitching")["missed"]
-    told = "log, `status/stitching.missed`"
-    return Seen(f"{missed} presses, each refused", told, detected_s, time.monotonic() - since_s)
+    where = "log, `status/stitching.missed`"
+    return Seen(f"{missed} presses, each refused", where, detected_s, time.monotonic() - since_s)
 
 
 @fault("a bit flipped in a session's presses")
@@ -337,7 +337,7 @@ def flipped_bit(cell: Cell) -> Seen:
     path.write_bytes(content)
     cell.mark()
     began_s = cell.start()
-    detected_s = cell.told("are damaged or incomplete", began_s)
+    detected_s = cell.reported("are damaged or incomplete", began_s)
     found = cell.presses(1)
     assert found >= count - 1, (found, count)
     assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == content
@@ -363,9 +363,9 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     content[chunks[len(chunks) // 2] + 3] ^= 4
     left.write_bytes(content)
     cell.mark()
-    stamps_ns, told = frames_of(left)
+    stamps_ns, damage = frames_of(left)
     read, each = len(stamps_ns), -(-whole // len(chunks))
-    assert 2 <= len(told) <= 4, told  # a chunk may end inside a frame, which is reported, too
+    assert 2 <= len(damage) <= 4, damage  # a chunk may end inside a frame, which is reported, too
     assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
     lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
     return Seen(lost, "`replay` names the bytes, exit code 1")
@@ -381,7 +381,7 @@ def cut_description(cell: Cell) -> Seen:
     path.write_bytes(path.read_bytes()[:40])
     cell.mark()
     began_s = cell.start()
-    detected_s = cell.told("skipping a session", began_s)
+    detected_s = cell.reported("skipping a session", began_s)
     _begun(cell, "two")
     assert (cell.folder / "maps/one" / PRESSES).stat().st_size > 0
     lost = "the session is not resumed; its presses stay"
@@ -400,16 +400,16 @@ def daemon_killed(cell: Cell) -> Seen:
     cell.start()
     cell.session()
     cell.record()
-    told, count = cell.last("status/recorder")["frames"], cell.last("status/stitching")["presses"]
+    frames, count = cell.last("status/recorder")["frames"], cell.last("status/stitching")["presses"]
     since_s = cell.mark()
     cell.kill()
     cell.until(lambda: cell.seen.of(f"{BASE}/state")[-1:] == [b"offline"], 30, "the last will")
     detected_s = time.monotonic() - since_s
-    assert len(frames_of(cell.folder / "recs/r")[0]) >= told
+    assert len(frames_of(cell.folder / "recs/r")[0]) >= frames
     cell.mark()
     began_s = cell.start()
     assert cell.presses(1) >= count
-    return Seen("nothing that was told", "`state` offline", detected_s, time.monotonic() - began_s)
+    return Seen("nothing that was reported", "`state` offline", detected_s, time.monotonic() - began_s)
 
 
 @fault(f"daemon gets no processor for {FROZEN_S:.0f} s")
@@ -446,8 +446,8 @@ def clock_steps(cell: Cell) -> Seen:
         (steps / "beside").replace(offset)
         slowest_s = max(slowest_s, cell.maps_again())
         cell.frames()
-        told_s = cell.last("health")["wall_ns"] / 1e9
-        assert abs(told_s - max(0.0, time.time() + seconds)) < 30, (told_s, seconds)
+        wall_s = cell.last("health")["wall_ns"] / 1e9
+        assert abs(wall_s - max(0.0, time.time() + seconds)) < 30, (wall_s, seconds)
         count = cell.presses(count + 1)
     assert cell.ask("record", action="stop")["ok"]
     stamps_ns, _ = frames_of(cell.folder / "recs/r")
@@ -457,8 +457,8 @@ def clock_steps(cell: Cell) -> Seen:
     cell.kill()
     cell.start()
     assert cell.presses(1) >= count
-    told = "`doctor` when the clock is unset"
-    return Seen("nothing; `wall_ns` steps, `t_ns` does not", told, None, slowest_s)
+    where = "`doctor` when the clock is unset"
+    return Seen("nothing; `wall_ns` steps, `t_ns` does not", where, None, slowest_s)
 
 
 @fault("SIGTERM during the start")
@@ -474,7 +474,7 @@ def stopped_early(cell: Cell) -> Seen:
     return Seen("nothing", f"exit codes {', '.join(map(str, codes))}")
 
 
-HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
+HEAD = ("fault", "detected s", "recovered s", "lost", "reported where")
 
 
 def run_one(fault: Fault) -> tuple[str, ...]:
@@ -482,10 +482,10 @@ def run_one(fault: Fault) -> tuple[str, ...]:
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         seen = fault(cell)
     times = ("" if value is None else f"{value:.1f}" for value in (seen.detected_s, seen.recovered_s))
-    return (*times, seen.lost, seen.told)
+    return (*times, seen.lost, seen.where)
 
 
-def run(words: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
+def run(words: list[str] | None, report: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield the rows of the table, each with its problem or an empty string."""
     for name, one in FAULTS.items():
         if words and not any(word in name for word in words):
@@ -498,7 +498,7 @@ def run(words: list[str] | None, tell: Callable[[str], None]) -> Iterator[tuple[
         except Exception as error:  # noqa: BLE001
             row = (name, "", "", "**not as promised**", "")
             problem = f"{name}: {error or type(error).__name__}\n{traceback.format_exc(limit=-2)}"
-        tell(f"{time.monotonic() - began_s:5.1f} s {' | '.join(row)}")
+        report(f"{time.monotonic() - began_s:5.1f} s {' | '.join(row)}")
         yield row, problem
 
 

@@ -76,10 +76,10 @@ def build(tree: Path, out: Path) -> list[Path]:
     with tempfile.TemporaryDirectory() as folder:
         clone = Path(folder, "clone")
         subprocess.run(("git", "clone", "--quiet", str(tree), str(clone)), check=True)
-        told, address = version(clone), repository(clone)
+        released, address = version(clone), repository(clone)
         command = ("git", "-C", str(clone), "rev-parse", "HEAD")
         commit = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-        ref = commit if "dev" in told else f"v{told}"
+        ref = commit if "dev" in released else f"v{released}"
         made = Path(folder, "made")
         for project in projects(clone):
             readme = project / "README.md"

@@ -83,18 +83,18 @@ def main() -> int:
     return 0
 
 
-def debian_version(told: str, python: str) -> str:
+def debian_version(version: str, python: str) -> str:
     """The package's version: a development version lies below its release, as in Python."""
-    return f"{told.replace('.dev', '~dev')}+deb{RELEASES[python]}"
+    return f"{version.replace('.dev', '~dev')}+deb{RELEASES[python]}"
 
 
-def file_name(told: str, python: str, machine: str) -> str:
-    """The package's file, of a program of version `told`."""
-    return f"tacshade-edge_{debian_version(told, python)}_{ARCHITECTURES[machine]}.deb"
+def file_name(version: str, python: str, machine: str) -> str:
+    """The package's file, of a program of this version."""
+    return f"tacshade-edge_{debian_version(version, python)}_{ARCHITECTURES[machine]}.deb"
 
 
-def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None:
-    """Lay out all files of a package of version `told` below `root`."""
+def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> None:
+    """Lay out all files of a package of this version below `root`."""
     root.chmod(0o755)
     environment(root / APP, wheel, machine, python)
     below = os.environ | {"DESTDIR": str(root), "LIB": "/usr/lib"}
@@ -114,7 +114,7 @@ def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None
     files = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink()]
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in files]
     about_it = {
-        "version": told,
+        "version": version,
         "architecture": ARCHITECTURES[machine],
         "size_kib": sum(path.stat().st_size for path in files) // 1024,
         "python": python,

@@ -12,7 +12,7 @@ COMMAND runs in it with this tree at ``/src``, its folder, on the machine's netw
 debootstrap, qemu-user-static, and for --count qemu-user and gcc. Exit status 77 means that it cannot run here.
 
 The processor is emulated instruction by instruction: its speed says nothing of a board's, the count does. The kernel's
-files that tell what processor there is (/proc/cpuinfo, /sys) are those of a Pi 5, since libraries choose their code by
+files that state what processor there is (/proc/cpuinfo, /sys) are those of a Pi 5, since libraries choose their code by
 them; /sys has nothing else.
 """
 

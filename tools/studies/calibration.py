@@ -146,25 +146,25 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     press = presses[int(rng.integers(4, len(presses) - 2))]
     name = f"{press.name}:"
 
-    def told(made: list[KnownPress]) -> str:
+    def warnings(made: list[KnownPress]) -> str:
         return answer(lambda: given.calibrate(presses=made))
 
     shuffled = rng.permutation([p.depth_mm for p in presses])
     yield (
         "all depths shuffled", "refused|poor",
-        told([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
+        warnings([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
     )  # fmt: skip
     for unit, factor in (("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)):
         yield (
             f"depths in {unit}",
             f"depths in {unit}?",
-            told([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
+            warnings([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
         )
     touch = first_touch_mm(
         [PressObservation("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
     )
     travel = [replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)]
-    yield "depths are travel from first touch", "travel from first touch", told(travel)
+    yield "depths are travel from first touch", "travel from first touch", warnings(travel)
     for off in (-0.5, 0.5, 1.0):
         made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
         size, wanted = (
@@ -172,21 +172,21 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
             if off < 0
             else ("great", "mm less: check where depth is zero")
         )
-        yield f"all depths {abs(off)} mm too {size}", wanted, told([p for p in made if p.depth_mm > 0])
-    yield "x and y swapped", "swapped", told([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
-    yield "y with the other sign", "opposite sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
+        yield f"all depths {abs(off)} mm too {size}", wanted, warnings([p for p in made if p.depth_mm > 0])
+    yield "x and y swapped", "swapped", warnings([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
+    yield "y with the other sign", "opposite sign", warnings([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
     near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
-    yield "8 presses in the middle", "close together", told(near)
-    yield "half the disc", "no press lies|close together", told([p for p in presses if (p.x_mm or 0) > -1])
+    yield "8 presses in the middle", "close together", warnings(near)
+    yield "half the disc", "no press lies|close together", warnings([p for p in presses if (p.x_mm or 0) > -1])
     alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
-    yield "10 presses of like depth", "mm deep: add some", told(alike)
+    yield "10 presses of like depth", "mm deep: add some", warnings(alike)
     alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
-    yield "8 presses of like radius", "all presses use balls", told(alike)
+    yield "8 presses of like radius", "all presses use balls", warnings(alike)
 
     for px in (0.5, 1.0, 2.0, 6.0):
         yield (
             f"camera {px} px away at one press", f"{name} the image moved",
-            told([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
+            warnings([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
         )  # fmt: skip
     for px in (1.0, 2.0, 6.0):
         views = [references[0], *(shifted(image, px) for image in references[1:])]
@@ -202,7 +202,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
         "blurred by 1.5 px": lambda image: camera_faults.defocus(image, 1.5),
     }.items():
         made = [replace(p, image=change(p.image)) if p is press else p for p in presses]
-        yield f"{label} at one press", f"{name}", told(made)
+        yield f"{label} at one press", f"{name}", warnings(made)
     for depth in (1.0, 2.0):
         image = given.loaded(depth, 3, 2, 5)
         yield (

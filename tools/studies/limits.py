@@ -86,8 +86,8 @@ def found(made: Reconstructor, image: U8) -> tuple[tuple[str, bool, bool, bool, 
     """The fields of `Found`, which begin each row, and the map."""
     result = made.step(Frame(0, 0, 0, image))
     doubt = text_of(result.reason or result.degraded)
-    told = (result.valid, result.contact, result.saturated, result.depth_max_mm, len(result.objects), doubt)
-    return (result.profile, *told), result.height
+    seen = (result.valid, result.contact, result.saturated, result.depth_max_mm, len(result.objects), doubt)
+    return (result.profile, *seen), result.height
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,8 +431,8 @@ def _fine(task: tuple[Plan, float]) -> list[FineRow]:
             line = across(frame, press)
             where, true_mm = (pitch, shape.name, size, x, y, press.rotation_deg), height(line.x_mm, line.true_mm)
             for each in made:
-                told, map_mm = found(each, frame.image)
-                rows.append(FineRow(*told, *where, true_mm, height(line.x_mm, found_heights(line, map_mm))))
+                seen, map_mm = found(each, frame.image)
+                rows.append(FineRow(*seen, *where, true_mm, height(line.x_mm, found_heights(line, map_mm))))
     return rows
 
 
@@ -561,7 +561,7 @@ def _deep_table(profiles: Mapping[str, Sequence[DeepRow]]) -> str:
             whole = [known[depth] for depth in known if depth == round(depth)]
             lines.append([f"{name}, mean", profile, *(f"{mean:.2f}" for mean, _, _ in whole)])
             lines.append([f"{name}, 90 %", profile, *(f"{high:.2f}" for _, high, _ in whole)])
-            lines.append([f"{name}, saturated %", profile, *(f"{100 * told:.0f}" for *_, told in whole)])
+            lines.append([f"{name}, saturated %", profile, *(f"{100 * saturated:.0f}" for *_, saturated in whole)])
     depths = dict.fromkeys(depth for rows in profiles.values() for depth in depth_errors(rows) if depth == round(depth))
     return markdown(["object", "method", *(f"{depth:g} mm" for depth in depths)], lines)
 

@@ -68,26 +68,28 @@ class Seen:
 class SlideRow(Seen):
     """An object that is dragged until it slides, seen by one profile; NaN means never.
 
-    `onset_s` is when the whole contact truly slides, `told_s` when a slip was first reported, and the last two are
+    `onset_s` is when the whole contact truly slides, `reported_s` when a slip was first reported, and the last two are
     speeds over the skin 0.15 s after the onset.
     """
 
     speed_mm_s: float
     direction_deg: float
     onset_s: float
-    told_s: float
+    reported_s: float
     found_mm_s: float
     true_mm_s: float
 
     @property
     def is_early(self) -> bool:
         """Whether a slip was reported before the whole contact slid."""
-        return self.told_s < self.onset_s - EARLY_S or (math.isnan(self.onset_s) and not math.isnan(self.told_s))
+        return self.reported_s < self.onset_s - EARLY_S or (
+            math.isnan(self.onset_s) and not math.isnan(self.reported_s)
+        )
 
     @property
     def is_in_time(self) -> bool:
         """Whether a slip was reported within `WITHIN_S` of its onset, but not early."""
-        return not self.is_early and self.told_s <= self.onset_s + WITHIN_S
+        return not self.is_early and self.reported_s <= self.onset_s + WITHIN_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +104,14 @@ class HeldRow(Seen):
 class ReleaseRow(Seen):
     """An object that is lifted off after half a second.
 
-    `dent_mm` is the greatest h that remains when nothing touches, `told_s` the time from the first frame without
+    `dent_mm` is the greatest h that remains when nothing touches, `reported_s` the time from the first frame without
     contact to the first frame reported as such (NaN: not within `AFTER_S`); `frames` counts the frames after that, and
     `phantoms` those in which a contact is reported.
     """
 
     depth_mm: float
     dent_mm: float
-    told_s: float
+    reported_s: float
     frames: int
     phantoms: int
 
@@ -162,19 +164,19 @@ def _slides(
     scene = MovingScene([motion], model)
     first, last = math.ceil(begun.times_s[-1] * FPS), math.floor(motion.times_s[-1] * FPS)
     onset = first + bisect_left(range(first, last + 1), True, key=lambda k: scene.objects(k / FPS)[0].slip is Slip.FULL)
-    told, speeds = [math.nan] * len(made), [math.nan] * len(made)
+    reported, speeds = [math.nan] * len(made), [math.nan] * len(made)
     measured = onset + round(0.15 * FPS)
     for k, results in _followed(scene, made, range(math.ceil(begun.times_s[1] * FPS), min(last, onset + FPS // 4) + 1)):
         for j, result in enumerate(results):
-            if math.isnan(told[j]) and _slips(result):
-                told[j] = k / FPS
+            if math.isnan(reported[j]) and _slips(result):
+                reported[j] = k / FPS
             if k == measured and result.objects and result.objects[0].slip_mm_s is not None:
                 speeds[j] = result.objects[0].slip_mm_s
     true_mm_s = scene.objects(measured / FPS)[0].slip_mm_s if measured <= last else math.nan
     onset_s = onset / FPS if onset <= last else math.nan
     return [
-        SlideRow(*who, speed_mm_s, way_deg, onset_s, told_s, found_mm_s, true_mm_s)
-        for who, told_s, found_mm_s in zip(seen, told, speeds, strict=True)
+        SlideRow(*who, speed_mm_s, way_deg, onset_s, reported_s, found_mm_s, true_mm_s)
+        for who, reported_s, found_mm_s in zip(seen, reported, speeds, strict=True)
     ]
 
 
@@ -207,21 +209,21 @@ def _released(
     free = lifted + bisect_left(range(lifted, gone + 2), True, key=lambda f: not scene.objects(f / FPS)[0].touches)
     soon = range(free, free + round(SOON_S * FPS))
     later = range(soon.stop, free + round(AFTER_S * FPS), FPS // LATER_FPS)
-    told, frames, phantoms = [math.nan] * len(made), [0] * len(made), [0] * len(made)
+    reported, frames, phantoms = [math.nan] * len(made), [0] * len(made), [0] * len(made)
     for f in (*soon, *later):
         image = scene.frame(f / FPS, f).image
         for j, each in enumerate(made):
             contact = each.step(Frame(f, round(1e9 * f / FPS), 0, image), need=Need.DEPTH)
             touches = contact is None or contact.contact
-            if math.isnan(told[j]):
-                told[j] = math.nan if touches else (f - free) / FPS
+            if math.isnan(reported[j]):
+                reported[j] = math.nan if touches else (f - free) / FPS
             else:
                 frames[j] += 1
                 phantoms[j] += touches
     dent_mm = float(scene.skin(free / FPS).height_mm.max())
     return [
-        ReleaseRow(*who, depth_mm, dent_mm, told_s, after, wrong)
-        for who, told_s, after, wrong in zip(seen, told, frames, phantoms, strict=True)
+        ReleaseRow(*who, depth_mm, dent_mm, reported_s, after, wrong)
+        for who, reported_s, after, wrong in zip(seen, reported, frames, phantoms, strict=True)
     ]
 
 
@@ -245,23 +247,23 @@ def _ratio(row: SlideRow) -> float:
 SLIDES: dict[str, Callable[[Sequence[SlideRow]], str]] = {
     "slips": lambda some: str(len(_there(some))),
     "in time %": lambda some: _in_time(_there(some)),
-    "median delay ms": lambda some: _median([1000 * (row.told_s - row.onset_s) for row in some], ".0f"),
-    "never": lambda some: str(sum(math.isnan(row.told_s) for row in _there(some))),
+    "median delay ms": lambda some: _median([1000 * (row.reported_s - row.onset_s) for row in some], ".0f"),
+    "never": lambda some: str(sum(math.isnan(row.reported_s) for row in _there(some))),
     "early": lambda some: str(sum(row.is_early for row in some)),
     "speed found / true": lambda some: _median([_ratio(row) for row in _there(some)], ".2f"),
 }
 HELD: dict[str, Callable[[Sequence[HeldRow]], str]] = {
     "minutes": lambda some: f"{sum(row.held_s for row in some) / 60:.1f}",
-    "slips told": lambda some: str(sum(row.slips for row in some)),
+    "slips reported": lambda some: str(sum(row.slips for row in some)),
 }
 RELEASES: dict[str, Callable[[Sequence[ReleaseRow]], str]] = {
     "releases": lambda some: str(len(some)),
     "deepest dent mm": lambda some: f"{max(row.dent_mm for row in some):.2f}",
-    "in time %": lambda some: f"{100 * np.mean([row.told_s <= WITHIN_S for row in some]):.0f}",
+    "in time %": lambda some: f"{100 * np.mean([row.reported_s <= WITHIN_S for row in some]):.0f}",
     "latest ms": lambda some: (
-        f"{1000 * max((r.told_s for r in some if not math.isnan(r.told_s)), default=math.nan):.0f}"
+        f"{1000 * max((r.reported_s for r in some if not math.isnan(r.reported_s)), default=math.nan):.0f}"
     ),
-    "never": lambda some: str(sum(math.isnan(row.told_s) for row in some)),
+    "never": lambda some: str(sum(math.isnan(row.reported_s) for row in some)),
     "frames after": lambda some: str(sum(row.frames for row in some)),
     "phantoms": lambda some: str(sum(row.phantoms for row in some)),
 }

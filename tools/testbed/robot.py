@@ -101,7 +101,7 @@ class Faults:
 
 
 @dataclass(slots=True)
-class Told:
+class Counts:
     """Counts of what the robot sent and received."""
 
     poses: int = 0
@@ -136,7 +136,7 @@ class PtyRobot:
         seed: int = 1,
         where: Callable[[float], PoseValues] = motion,
     ) -> None:
-        self.told = Told()
+        self.counts = Counts()
         self._where = where
         self.events: list[str] = []  # EVT lines
         self.replies: dict[int, str] = {}
@@ -206,7 +206,7 @@ class PtyRobot:
         return time.monotonic() - self.began_s
 
     def _boot(self) -> None:
-        self.told.boots += 1
+        self.counts.boots += 1
         self._mode_binary = False
         self._seq = self._pose_seq = 0
         self._state = "hello"
@@ -243,7 +243,7 @@ class PtyRobot:
                 if self._state == "mode" and self._asked_s > 0:  # did it change its mode? HELLO is heard in both
                     self._state = "hello"
                 self._asked_s = now_s
-                text = f"HELLO 1 crc=req boot=b{self.told.boots}" if self._state == "hello" else "MODE BIN"
+                text = f"HELLO 1 crc=req boot=b{self.counts.boots}" if self._state == "hello" else "MODE BIN"
                 if self._state == "hello":
                     self._mode_binary = False
                     self._send(b"\n", now_s, plain=True)  # ends what a robot before this one may have begun
@@ -258,7 +258,7 @@ class PtyRobot:
         period_s = 1 / self._rate_hz if self._rate_hz else math.inf
         if now_s - self._pose_at_s > 0.5:
             self._pose_at_s = now_s  # not all that was missed
-        while self._pose_at_s + period_s <= now_s and (self.poses_max is None or self.told.poses < self.poses_max):
+        while self._pose_at_s + period_s <= now_s and (self.poses_max is None or self.counts.poses < self.poses_max):
             self._pose_at_s += period_s
             self._send_pose(self._pose_at_s, now_s)
 
@@ -272,12 +272,12 @@ class PtyRobot:
         self._command(f"SYNC {t1}" if self._t4 is None else f"SYNC {t1} {self._t4}", now_s)
         self._t4 = None
         self._syncs += 1
-        self.told.syncs += 1
+        self.counts.syncs += 1
         self._next_sync_s = now_s + (FIRST_SYNC_S if self._syncs < FIRST_SYNCS else SYNC_S)
 
     def _send_pose(self, at_s: float, now_s: float) -> None:
-        self.told.poses += 1
-        self.told.last_pose_seq = self._pose_seq
+        self.counts.poses += 1
+        self.counts.last_pose_seq = self._pose_seq
         sample = PoseSample(self._pose_seq, self.clock.read_ns(at_s), self._where(at_s))
         self._pose_seq = (self._pose_seq + 1) % 65536
         if self._mode_binary:
@@ -293,10 +293,10 @@ class PtyRobot:
 
     def _send(self, data: bytes, now_s: float, *, plain: bool = False) -> None:
         if not plain and self._rng.random() < self.faults.lose:
-            self.told.lost += 1
+            self.counts.lost += 1
             return
         if not plain and self._rng.random() < self.faults.damage:
-            self.told.damaged += 1
+            self.counts.damaged += 1
             at = self._rng.randrange(len(data) - 1)
             data = data[:at] + bytes([data[at] ^ 1 << self._rng.randrange(8)]) + data[at + 1 :]
         due_s = now_s + (self._line.to_daemon_s(self._rng) if self._line else 0)
@@ -345,23 +345,23 @@ class PtyRobot:
             except DecodeError as error:
                 line = Reason(ReasonCode.NOT_A_LINE, str(error))
             if isinstance(line, Reason):
-                self.told.bad_replies += 1
+                self.counts.bad_replies += 1
             elif line is not None and line.verb == "EVT":
                 self.events.append(" ".join(line.args))
             elif line is not None and line.args[0].isdecimal():
                 self._reply(int(line.args[0]), line.verb, line.text, t4_ns)
             elif line is not None:
-                self.told.errors += 1
+                self.counts.errors += 1
 
     def _reply(self, seq: int, word: str, text: str, t4_ns: int) -> None:
         self.replies[seq] = text
         if seq in self._asked_seqs:
             self._asked_seqs.remove(seq)
             self.answers.append(text)
-        self.told.errors += word == "ERR"
+        self.counts.errors += word == "ERR"
         if self._sync and seq == self._sync[0]:
             self._sync, self._t4 = None, t4_ns
-            self.told.syncs_answered += 1
+            self.counts.syncs_answered += 1
         elif word == "OK" and seq == self._seq and self._state == "hello":
             self._state, self._asked_s = ("mode" if self._binary else "run"), -math.inf
         elif word == "OK" and seq == self._seq and self._state == "mode":
@@ -400,7 +400,7 @@ def main() -> None:
     pause = threading.Event()
     with robot, contextlib.suppress(KeyboardInterrupt):
         pause.wait(min(args.seconds, 1e6))
-    print(json.dumps(asdict(robot.told)))
+    print(json.dumps(asdict(robot.counts)))
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def takes(one: Person, line: str, shown: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_tells_place_and_depth(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
+def test_a_robot_states_place_and_depth(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
     """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
     link, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "out"
     config.write_text(f"{config.read_text()}serial: {{device: {link}}}\n")
@@ -141,8 +141,8 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path, config: Path, press: Pres
         one.types("done")
         assert one.ends() == 0
     link.unlink(missing_ok=True)
-    told = CaptureFolder(out).taken()[1].stated.columns
-    assert [float(text) for text in told[1:]] == pytest.approx([6, float(depth_mm), 4, -4.5], abs=0.002)
+    columns = CaptureFolder(out).taken()[1].stated.columns
+    assert [float(text) for text in columns[1:]] == pytest.approx([6, float(depth_mm), 4, -4.5], abs=0.002)
     assert load(out / "config.yaml").settings.serial is not None
 
 

@@ -1,4 +1,4 @@
-"""``tacshade-edge dashboard`` and ``bridge``: what they tell, and what they refuse, in one line."""
+"""``tacshade-edge dashboard`` and ``bridge``: what they print, and what they refuse, in one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def started(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 
 @pytest.mark.slow
-def test_it_tells_its_address_and_stops_on_a_signal() -> None:
+def test_it_prints_its_address_and_stops_on_a_signal() -> None:
     with started("--broker", "[::1]:1883") as (line, child):
         found = re.match(r"dashboard: http://127\.0\.0\.1:(\d+)/ for the broker \[::1\]:1883", line)
         assert found, line
@@ -85,7 +85,7 @@ def test_what_cannot_be_used_is_one_line(
 
 
 @pytest.mark.slow
-def test_a_token_is_told_once_and_kept(tmp_path: Path) -> None:
+def test_a_token_is_printed_once_and_kept(tmp_path: Path) -> None:
     cert, key = certificate(tmp_path)
     words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "t"), "--certificate", str(cert), "--key", str(key)]
     with started(*words) as (line, _):

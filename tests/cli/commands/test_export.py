@@ -131,7 +131,7 @@ def test_mcap_opens_in_its_own_library_and_is_replayed_as_the_folder(
     assert recording.with_name("again.csv").read_bytes() == recording.with_name("rec.csv").read_bytes()
 
 
-def test_an_unreadable_image_is_left_out_and_told(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_image_is_left_out_and_reported(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (recording / "000002.png").write_bytes(b"no image")
     assert export(recording, "csv") == 1
     said = capsys.readouterr()

@@ -85,7 +85,7 @@ def stop(child: Child, lines: Lines) -> None:
     assert not any("Traceback" in line for line in lines())
 
 
-def told(lines: Lines, *parts: str) -> list[str]:
+def warnings(lines: Lines, *parts: str) -> list[str]:
     """The warnings with all of these parts."""
     return [line for line in lines() if line.startswith("WARNING ") and all(part in line for part in parts)]
 
@@ -120,10 +120,10 @@ def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Start) -> Non
 def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, start: Start) -> None:
     port = free_port()
     child, lines = start(settings(folder, port, f"{CAMERA}, device: /dev/video99"))
-    wait_until(lambda: told(lines, "/dev/video99") and told(lines, "refused"), 20, "the lines")
+    wait_until(lambda: warnings(lines, "/dev/video99") and warnings(lines, "refused"), 20, "the lines")
     threading.Event().wait(1.5)  # more attempts
     stop(child, lines)
-    (camera,), (broker,) = told(lines, "/dev/video99"), told(lines, "refused")
+    (camera,), (broker,) = warnings(lines, "/dev/video99"), warnings(lines, "refused")
     assert camera.startswith("WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device")
     assert broker.startswith(f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused")
     assert "; to fix it: " in camera
@@ -134,8 +134,8 @@ def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(fold
     (folder / "void").mkdir()
     child, lines = start(settings(folder, free_port(), "kind: files, path: void"))
     assert child.wait(patience(20)) == 78
-    (told,) = (line for line in lines() if line.startswith("tacshade-edge: "))
-    assert f"{folder}/void: found no image" in told
+    (refusal,) = (line for line in lines() if line.startswith("tacshade-edge: "))
+    assert f"{folder}/void: found no image" in refusal
     assert "Traceback" not in "".join(lines())
 
 
@@ -163,7 +163,7 @@ def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
         assert lines() == []
 
 
-# Runs the command to the end of its recording, then tells what was imported.
+# Runs the command to the end of its recording, then prints what was imported.
 RUN = """
 import json, sys
 from tacshade_edge import cli

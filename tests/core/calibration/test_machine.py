@@ -50,7 +50,7 @@ def test_travel_becomes_depth() -> None:
 
 
 @given(angles, places, TOUCHES, st.sampled_from((0.0, 3.0, 9.0)))
-def test_the_press_that_told_the_place_is_found_again(
+def test_the_press_that_gave_the_place_is_found_again(
     angle: tuple[float, ...], at: tuple[float, ...], reported: Touch, radius_mm: float
 ) -> None:
     held = shift(*at) @ turn(angle)

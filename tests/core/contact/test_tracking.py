@@ -146,37 +146,37 @@ def test_what_the_skin_goes_along_with_does_not_slip() -> None:
 def test_an_imprint_that_moves_over_the_material_slips_at_its_speed() -> None:
     tracker = ContactTracker()
     speed_mm_s = 5.0
-    told = []
+    slips = []
     for k in range(20):
         at = speed_mm_s * max(0, k - 10) * FRAME_NS * 1e-9
         (found,) = followed(tracker, contact(2 + at, dragged_mm=2.0), frame=k)
-        told.append(found.slip)
+        slips.append(found.slip)
     assert found.slip_mm_s is not None
     assert abs(found.slip_mm_s - speed_mm_s) < 0.01
-    assert told.index(Slip.FULL) * FRAME_NS <= 10 * FRAME_NS + 100_000_000
-    assert Slip.FULL not in told[:11]
+    assert slips.index(Slip.FULL) * FRAME_NS <= 10 * FRAME_NS + 100_000_000
+    assert Slip.FULL not in slips[:11]
 
 
 def noisy(speed_mm_s: float, noise_mm: float, frames: int, onset: int, seed: int = 0) -> list[bool]:
-    """Whether a slip is told of each frame, of an imprint that slides from one on."""
-    rng, tracker, told = np.random.default_rng(seed), ContactTracker(), []
+    """Whether a slip is reported of each frame, of an imprint that slides from one on."""
+    rng, tracker, slips = np.random.default_rng(seed), ContactTracker(), []
     for k in range(frames):
         x, y = rng.normal(0, noise_mm, 2)
         at = speed_mm_s * max(0, k - onset) * FRAME_NS * 1e-9
         (found,) = followed(tracker, contact(2 + at + x, y, dragged_mm=2.0), frame=k)
-        told.append(found.slip is Slip.FULL)
-    return told
+        slips.append(found.slip is Slip.FULL)
+    return slips
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)])
-def test_a_slip_is_told_as_soon_as_it_stands_out_of_the_noise(
+def test_a_slip_is_reported_as_soon_as_it_stands_out_of_the_noise(
     speed_mm_s: float, noise_mm: float, within_s: float
 ) -> None:
     late = []
     for seed in range(20):
-        told = noisy(speed_mm_s, noise_mm, 80, 50, seed)
-        late.append(told.index(True, 50) - 50 if any(told[50:]) else math.inf)
+        slips = noisy(speed_mm_s, noise_mm, 80, 50, seed)
+        late.append(slips.index(True, 50) - 50 if any(slips[50:]) else math.inf)
     assert np.quantile(late, 0.95) * FRAME_NS * 1e-9 <= within_s
 
 

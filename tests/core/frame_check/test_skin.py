@@ -36,10 +36,10 @@ def test_a_few_untrusted_cells_are_no_contact_and_a_doubt() -> None:
     made, result = judged(slice(13, 14), pressed("ball", 3.0).image)
     assert result.valid
     assert result.degraded is not None
-    told = float(result.degraded.text.split(" %")[0])
+    percent = float(result.degraded.text.split(" %")[0])
     rows = np.zeros_like(TOUCHED)
     rows[52:56] = True
-    assert told == pytest.approx(100 * (rows & made.rays.inside).sum() / made.rays.inside.sum(), abs=0.06)
+    assert percent == pytest.approx(100 * (rows & made.rays.inside).sum() / made.rays.inside.sum(), abs=0.06)
     np.testing.assert_array_equal(result.untrusted, rows & made.rays.inside)
     np.testing.assert_array_equal(result.height.contact, TOUCHED & ~rows)
 
@@ -108,8 +108,8 @@ def test_an_edge_across_a_part_of_the_disc_is_none() -> None:
     assert torn_text(image) == ""
 
 
-@pytest.mark.parametrize(("first", "last", "told"), [(36, 60, True), (36, 48, False)])
-def test_two_rows_of_squares_without_a_marker_are_torn(first: int, last: int, told: bool) -> None:
+@pytest.mark.parametrize(("first", "last", "torn"), [(36, 60, True), (36, 48, False)])
+def test_two_rows_of_squares_without_a_marker_are_torn(first: int, last: int, torn: bool) -> None:
     image = STRIPES.copy()
     image[first:last] = 128
-    assert (torn_text(image, unloaded=False) != "") == told
+    assert (torn_text(image, unloaded=False) != "") == torn

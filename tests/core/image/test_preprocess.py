@@ -126,7 +126,8 @@ def test_an_image_is_halved_by_means_rounded_half_up(rows: int, cols: int) -> No
     whole = image[: rows // 2 * 2, : cols // 2 * 2].astype(int)
     exact = whole.reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
     np.testing.assert_array_equal(halved_image(image), (exact + 2) // 4)
-    assert halved_image(image[:1]).shape == image[:1].shape  # another size than the calibration's, which is told later
+    # Another size than the calibration's is reported later.
+    assert halved_image(image[:1]).shape == image[:1].shape
 
 
 def test_the_halved_sensor_is_the_same_one() -> None:

@@ -150,7 +150,7 @@ def test_never_far_beyond_nor_before_nor_over_a_gap() -> None:
     assert buffer.at(200 * MS) is None
     assert buffer.at(110 * MS) is not None
     assert buffer.at(110 * MS + GAP_MAX_NS + 1) is not None
-    assert buffer.at(110 * MS + GAP_MAX_NS + 2) is None  # nothing tells how it moves
+    assert buffer.at(110 * MS + GAP_MAX_NS + 2) is None  # nothing shows how it moves
 
 
 def test_poses_that_come_late_or_again_are_counted_and_left_out() -> None:

@@ -58,15 +58,17 @@ def test_the_luma_of_each_frame_and_the_sensors_time(stand_in: Callable[..., Non
     assert [frame.seq for frame in found] == list(range(40))
     assert {found[n + 1].t_ns - found[n].t_ns for n in range(39)} == {20_000_000}
     assert camera.dropped == 0
-    told = camera.describe()
-    assert {key: told[key] for key in ("exposure", "exposure_lock", "white_balance_lock", "time_stamps", "gain")} == {
+    described = camera.describe()
+    assert {
+        key: described[key] for key in ("exposure", "exposure_lock", "white_balance_lock", "time_stamps", "gain")
+    } == {
         "exposure": "locked at 4000 us",
         "exposure_lock": "locked",
         "white_balance_lock": "locked",
         "time_stamps": "sensor",
         "gain": 2.0,
     }
-    assert told["fps_measured"] == pytest.approx(50, rel=0.01)
+    assert described["fps_measured"] == pytest.approx(50, rel=0.01)
 
 
 def test_frames_that_are_skipped_are_counted_on(stand_in: Callable[..., None]) -> None:
@@ -125,7 +127,7 @@ def test_a_program_that_ends_is_quoted(
         ({"exposure": 0.5}, "requested an exposure of 4000 us and a gain of 2, but got 2000 us and 2"),
         ({"extra_bytes": 512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
         ({"extra_bytes": -512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
-        # Nine of its frames are eight of ours, read before it tells of the ninth.
+        # Nine of its frames are eight of ours, read before it describes the ninth.
         (
             {"extra_bytes": -512, "behind": 9},
             r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)",
@@ -148,7 +150,7 @@ def test_what_a_camera_does_not_offer_is_a_mistake_until_it_once_worked(
 
 
 @pytest.mark.parametrize("does", [{"stalls": 3}, {"records": False}])
-def test_a_stall_is_told_and_ended(
+def test_a_stall_is_reported_and_ended(
     stand_in: Callable[..., None], does: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rpicam, "_STALL_S", 0.3)
@@ -173,6 +175,6 @@ def test_a_lens_that_moves_is_locked(stand_in: Callable[..., None], asked: float
     stand_in(lens=True)
     camera = RpicamSource(0, W, H, 50, 4000, 2.0, lens_position=asked, sensor_mode="1640:1232")
     frames(camera, 1)
-    told = camera.describe()
-    assert (told["focus"], told["focus_lock"]) == (f"locked at {found:g} dioptres", "locked")
+    described = camera.describe()
+    assert (described["focus"], described["focus_lock"]) == (f"locked at {found:g} dioptres", "locked")
     assert camera._command[camera._command.index("--mode") + 1] == "1640:1232"

@@ -55,7 +55,7 @@ def test_no_wish_keeps_the_value_but_locks_it() -> None:
     assert driver.values[AUTO] == 1
 
 
-def test_a_driver_that_stays_automatic_is_told() -> None:
+def test_a_driver_that_stays_automatic_is_reported() -> None:
     control = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
     assert control == Control(Lock.AUTOMATIC, 250)
     assert str(control) == "automatic; the driver does not lock it (250)"

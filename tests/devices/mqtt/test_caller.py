@@ -51,7 +51,7 @@ def test_its_own_reply_is_found_among_others(tmp_path: Path) -> None:
         asking.stop()
 
 
-def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) -> None:
+def test_a_request_that_the_access_rules_deny_is_reported_at_once(tmp_path: Path) -> None:
     rules = tmp_path / "acl"
     rules.touch(0o600)
     rules.write_text("topic read tacshade/#\n")
@@ -65,7 +65,7 @@ def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) ->
         asking.stop()
 
 
-def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
+def test_a_broker_that_does_not_let_us_in_is_reported(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "secret"}) as broker:
         refused = caller(broker.port, "hand", "wrong")
         with pytest.raises(

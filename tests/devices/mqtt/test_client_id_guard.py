@@ -28,21 +28,21 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 @contextmanager
 def daemon(port: int) -> Iterator[Rig]:
-    """A link that tells its health as a daemon does."""
+    """A link that reports its health as a daemon does."""
     rig, ended = Rig(port), threading.Event()
 
-    def tell() -> None:
+    def report() -> None:
         while not ended.wait(0.5):
             rig.link.set_retained("health", b"{}", qos=0)
 
-    teller = threading.Thread(target=tell)
-    teller.start()
+    reporter = threading.Thread(target=report)
+    reporter.start()
     rig.link.start()
     try:
         yield rig
     finally:
         ended.set()
-        teller.join()
+        reporter.join()
         rig.link.stop(2)
 
 
@@ -50,9 +50,9 @@ def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog
     with daemon(broker.port) as first, Subscriber(broker.port, f"{BASE}/#", v5=True) as subscriber:
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
-            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
-            told = f"another daemon, on {socket.gethostname()}, process {os.getpid()}, is using {BASE}"
-            assert told in str(second.link.reason)
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "the reason")
+            reason = f"another daemon, on {socket.gethostname()}, process {os.getpid()}, is using {BASE}"
+            assert reason in str(second.link.reason)
             status = json.loads(subscriber.wait_for(f"{BASE}/status/rival")[-1])
             assert (status["state"], status["reason_code"]) == ("waiting", "in_use")
             assert status["process"] == os.getpid()
@@ -72,7 +72,7 @@ def test_the_second_follows_when_the_first_is_gone_for_good(broker: Broker) -> N
     with daemon(broker.port) as first:
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
-            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "the reason")
             first.link.stop(2)
             wait_until(lambda: second.link.connected, 20, "connected")
 
@@ -81,7 +81,7 @@ def test_a_broker_that_restarts_gives_the_name_back_to_the_first(broker: Broker)
     with daemon(broker.port) as first:
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
-            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "the reason")
             broker.kill()
             wait_until(lambda: not first.link.connected and code(second) is not ReasonCode.IN_USE, 10, "lost")
             broker.start()

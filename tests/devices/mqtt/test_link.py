@@ -144,7 +144,7 @@ class TestRefused:
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
 
-    def test_what_the_access_rules_deny_is_told_once_and_never_counts_as_published(
+    def test_what_the_access_rules_deny_is_reported_once_and_never_counts_as_published(
         self, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
         """The rules as shipped, and a sensor_id that is not the user's name."""

@@ -50,7 +50,7 @@ def test_large_messages_are_refused_and_the_connection_stays(
 
 @broker_test
 @needs_mosquitto
-def test_the_largest_packet_is_told_from_the_first_that_is_too_large(tmp_path: Path) -> None:
+def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(tmp_path: Path) -> None:
     with Broker(tmp_path, more=("max_packet_size 1000",)) as broker:
         rig = Rig(broker.port).connect()
         around = packet_bytes(f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5))

@@ -126,7 +126,7 @@ def test_nothing_is_known_at_first_and_two_exchanges_make_a_time() -> None:
     assert 0 < state.error_us < 4000
 
 
-def test_drift_is_found_and_a_poor_clock_is_told() -> None:
+def test_drift_is_found_and_a_poor_clock_is_reported() -> None:
     rig = Rig(slow_ppm=800)
     for _ in range(60):
         rig.exchange()
@@ -145,7 +145,7 @@ def test_times_that_contradict_themselves_are_refused(wrong: Callable[[int], int
     assert rig.sync.to_robot(rig.true_ns) is None
 
 
-def test_one_impossible_exchange_is_an_outlier_and_nothing_is_told_until_that_is_clear() -> None:
+def test_one_impossible_exchange_is_an_outlier_and_nothing_is_reported_until_that_is_clear() -> None:
     rig = Rig()
     for _ in range(10):
         rig.exchange()
@@ -163,7 +163,7 @@ def test_one_impossible_exchange_is_an_outlier_and_nothing_is_told_until_that_is
 
 
 @pytest.mark.parametrize("jump_ns", [20 * MS, -20 * MS, 3 * S])
-def test_a_clock_that_jumped_is_told_by_the_second_exchange(jump_ns: int) -> None:
+def test_a_clock_that_jumped_is_found_by_the_second_exchange(jump_ns: int) -> None:
     rig = Rig()
     for _ in range(10):
         rig.exchange()

@@ -101,7 +101,7 @@ def test_a_person_types() -> None:
         ("POSE 1 2 3", "ERR - ARGS POSE: found 3 values"),
     ],
 )
-def test_a_mistake_is_told_and_takes_no_number(line: str, answer: str) -> None:
+def test_a_mistake_is_reported_and_takes_no_number(line: str, answer: str) -> None:
     desk = Desk()
     (said,) = desk.send(line.encode() + b"\n")
     assert said.startswith(answer)
@@ -219,7 +219,7 @@ def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
     assert (counts.poses, counts.poses_lost, counts.poses_repeated) == (5, 3, 2)
 
 
-def test_bad_poses_are_told_once_a_second() -> None:
+def test_bad_poses_are_reported_once_a_second() -> None:
     desk = Desk()
     bad = b"#5 POSE 1 0 0 0 9 0 0 0\n"
     assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found a quaternion of length 9, expected length 1"]

@@ -93,7 +93,7 @@ def test_a_loop_and_a_reopening_keep_counting(folder: Path) -> None:
     assert again.seq == 3
 
 
-def test_a_damaged_image_and_one_of_another_size_are_told_and_passed_over(folder: Path) -> None:
+def test_a_damaged_image_and_one_of_another_size_are_reported_and_passed_over(folder: Path) -> None:
     (folder / "0b.png").write_bytes((folder / "0.png").read_bytes()[:60])
     cv2.imwrite(str(folder / "1b.png"), picture(0, height=24))
     source = FilesSource(path=folder, fps=240, loop=False)

@@ -156,7 +156,7 @@ def test_a_disk_that_fails_amid_a_record_leaves_the_frames_before(
     assert seqs(tmp_path / "rec") == [0, 1, 2]
 
 
-def test_a_loop_goes_on_in_time_and_a_file_tells_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
+def test_a_loop_goes_on_in_time_and_a_file_states_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
     path.write_bytes(ours(5))
     assert Recording(path).length_ns == 4 * PERIOD_NS
@@ -169,7 +169,7 @@ def test_a_loop_goes_on_in_time_and_a_file_tells_its_length_unless_it_was_cut_of
     assert (Recording(path).length_ns, Recording(path).cut_off) == (0, True)
 
 
-def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> None:
+def test_one_flipped_bit_costs_a_chunk_at_most_and_is_reported(tmp_path: Path) -> None:
     whole = ours(4)
     good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
     assert len(good) == 4
@@ -222,7 +222,7 @@ def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, ke
     assert len(refused[0]) < 500
 
 
-def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
+def test_a_file_of_several_that_is_none_is_reported_and_the_others_are_read(tmp_path: Path) -> None:
     (tmp_path / "000.mcap").write_bytes(ours(3))
     (tmp_path / "001.mcap.part").write_bytes(b"")
     recording = Recording(tmp_path)
@@ -308,7 +308,7 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
         Recording(tmp_path / "none.mcap")
 
 
-def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_reported_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frames, "_UNUSABLE_MAX", 10)
     inside = described() + message(b"no image", 5) + message(b"", 6) * 100
     read, refused = every(_written(tmp_path, file_of(inside)))
@@ -326,7 +326,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)), "expected 48 rows of 3 bytes"),
     ],
 )
-def test_an_image_that_is_none_is_told(tmp_path: Path, message: RawImage, found: str) -> None:
+def test_an_image_that_is_none_is_reported(tmp_path: Path, message: RawImage, found: str) -> None:
     path = tmp_path / "rec.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -33,20 +33,20 @@ PACKINGS: dict[str, Pack] = {
 
 
 def read(path: Path, content: bytes) -> tuple[list[int], list[str]]:
-    """Times of the messages; and what was told."""
+    """Times of the messages; and what was reported."""
     path.write_bytes(content)
-    times, told = [], []
+    times, reported = [], []
     with contextlib.closing(McapFile(path)) as file:
         for found in file.records():
             if isinstance(found, Message):
                 times.append(found.log_time)
             elif isinstance(found, DecodeError):
-                told.append(str(found))
-    return times, told
+                reported.append(str(found))
+    return times, reported
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path: Path, packing: str) -> None:
+def test_a_chunk_that_is_not_what_it_says_is_reported_and_the_next_is_read(tmp_path: Path, packing: str) -> None:
     inside = message(b"a", 5)
     packed, crc = PACKINGS[packing](inside), zlib.crc32(inside)
     good = chunk(packed, packing, len(inside), crc)
@@ -62,30 +62,30 @@ def test_a_chunk_that_is_not_what_it_says_is_told_and_the_next_is_read(tmp_path:
         chunk(packed, "gz\x1b", len(inside), crc),
     )
     for one in bad:
-        times, told = read(tmp_path / "a.mcap", file_of(one + good))
+        times, reported = read(tmp_path / "a.mcap", file_of(one + good))
         assert times == [5]
-        assert len(told) == 1
-        assert "skipping the damaged chunk at byte 25" in told[0]
-        assert told[0].isprintable()
+        assert len(reported) == 1
+        assert "skipping the damaged chunk at byte 25" in reported[0]
+        assert reported[0].isprintable()
 
 
 def test_a_few_bytes_never_become_millions_of_records(tmp_path: Path) -> None:
     inside = message(b"", 5) * (CHUNK_BYTES_MAX // len(message(b"", 5)))
     packed = PACKINGS["zstd"](inside)
-    times, told = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside), zlib.crc32(inside)) * 2))
+    times, reported = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside), zlib.crc32(inside)) * 2))
     assert len(times) < 100_000
-    assert "expected at most 256 times the file's size" in told[-1]
-    assert len(told) == 1
+    assert "expected at most 256 times the file's size" in reported[-1]
+    assert len(reported) == 1
 
 
 def test_a_window_larger_than_a_chunk_is_refused(tmp_path: Path) -> None:
     inside = message(b"a", 5)
     parameters = zstandard.ZstdCompressionParameters(window_log=27, enable_ldm=True)
-    packing = zstandard.ZstdCompressor(compression_params=parameters).compressobj()  # of a size that it does not tell
+    packing = zstandard.ZstdCompressor(compression_params=parameters).compressobj()  # of a size that it does not state
     packed = packing.compress(inside) + packing.flush()
-    times, told = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside))))
+    times, reported = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside))))
     assert times == []
-    assert "too much memory" in told[0]
+    assert "too much memory" in reported[0]
 
 
 def test_a_chunk_in_the_summary_is_not_unpacked(tmp_path: Path) -> None:
@@ -94,10 +94,10 @@ def test_a_chunk_in_the_summary_is_not_unpacked(tmp_path: Path) -> None:
     assert read(tmp_path / "a.mcap", file_of(described() + message(b"a", 7), bomb)) == ([7], [])
 
 
-def test_a_record_of_unknown_kind_is_told_and_what_is_behind_it_is_read(tmp_path: Path) -> None:
+def test_a_record_of_unknown_kind_is_reported_and_what_is_behind_it_is_read(tmp_path: Path) -> None:
     content = file_of(described() + record(0x80, b"ours alone") + message(b"a", 3))
-    times, told = read(tmp_path / "a.mcap", content)
-    assert (times, len(told)) == ([3], 1)
+    times, reported = read(tmp_path / "a.mcap", content)
+    assert (times, len(reported)) == ([3], 1)
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
@@ -107,9 +107,9 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="not an MCAP file"):
             McapFile(path)
     for content, damaged in ((MAGIC, 0), (MAGIC + b"\x01", 0), (MAGIC * 2, 0), (MAGIC * 7, 1)):
-        times, told = read(path, content)
+        times, reported = read(path, content)
         assert times == []
-        assert len(told) == damaged
+        assert len(reported) == damaged
 
 
 def test_attachments(tmp_path: Path) -> None:
@@ -132,9 +132,9 @@ def test_attachments(tmp_path: Path) -> None:
         (whole[: data - 8] + b"\6" + whole[data - 7 :], 100, "skipping the damaged"),
     ):
         path.write_bytes(content)
-        found, told = attachments_in(path, {"a": 100, "b": bytes_max})
+        found, reported = attachments_in(path, {"a": 100, "b": bytes_max})
         assert found == {"a": b"last"}
-        assert expected in told[0]
+        assert expected in reported[0]
 
 
 def summary_of(path: Path, content: bytes) -> tuple[Summary | None, str]:
@@ -168,7 +168,7 @@ def test_what_the_end_says_of_the_rest(tmp_path: Path) -> None:
     assert (summary.counts, summary.span_ns) == ({1: 3}, (40, 90))
 
 
-def test_every_flipped_bit_of_it_is_told(tmp_path: Path) -> None:
+def test_every_flipped_bit_of_it_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     content = whole(path)
     footer_at = len(content) - 37
@@ -199,7 +199,7 @@ def test_what_lies_behind_a_right_checksum(tmp_path: Path) -> None:
 
 def test_descriptions_are_bounded(tmp_path: Path) -> None:
     content = file_of(described(topic="/" + "a" * DESCRIPTION_BYTES_MAX) + described() + message(b"a", 5))
-    times, told = read(tmp_path / "a.mcap", content)
+    times, reported = read(tmp_path / "a.mcap", content)
     assert times == [5]
-    assert len(told) == 1
-    assert "skipping the damaged record" in told[0]
+    assert len(reported) == 1
+    assert "skipping the damaged record" in reported[0]

@@ -174,7 +174,7 @@ def test_a_damaged_description(tmp_path: Path, text: str) -> None:
         read_info(tmp_path)
 
 
-def test_a_flipped_bit_in_the_description_is_told(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_the_description_is_reported(tmp_path: Path) -> None:
     StitchFile.create(tmp_path / "one", info())
     path = tmp_path / "one" / SESSION
     assert read_info(tmp_path / "one") == info()

@@ -175,7 +175,7 @@ def test_a_named_indenter(tmp_path: Path) -> None:
         (HEADER.encode() + b"a\0.png,ball,4.5,2,,\n", ":2: image: .*embedded null"),
     ],
 )
-def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, text: str | bytes, said: str) -> None:
+def test_a_wrong_table_is_named_by_line_and_column(tmp_path: Path, text: str | bytes, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as refusal:
         read_presses(table(tmp_path, text))
     assert "\n" not in str(refusal.value)

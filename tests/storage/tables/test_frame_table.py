@@ -45,7 +45,7 @@ PLAIN, ERRORS, CHECKED = (",".join((*HEADER, *MORE[:count])) + "\n" for count in
         (PLAIN + "a" * 10**6, ":2: found 1 columns"),
     ],
 )
-def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_table_is_named_by_line_and_column(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "frames.csv").write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError, match=said) as refusal:
         read_table(tmp_path / "frames.csv")

@@ -104,7 +104,7 @@ def test_labels_have_columns_in_any_order_and_empty_cells(tmp_path: Path) -> Non
         (LABELS_HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path: Path, text: str, message: str) -> None:
+def test_a_mistake_is_reported_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         read_labels(table(tmp_path, text), tmp_path)
 
@@ -147,7 +147,7 @@ def test_it_is_what_the_file_says_now(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"])
-def test_what_cannot_be_understood_is_told_once(tmp_path: Path, row: str) -> None:
+def test_what_cannot_be_understood_is_reported_once(tmp_path: Path, row: str) -> None:
     path = tmp_path / "hand.csv"
     script = PressedFile(path)
     replace(path, row)
@@ -206,7 +206,7 @@ def test_every_shape(tmp_path: Path) -> None:
         ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* neither an ASCII nor a binary STL file"),
     ],
 )
-def test_a_wrong_file_is_told_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_file_is_named_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as refusal:
         read_indenters(written(tmp_path, text))
     assert "\n" not in str(refusal.value)

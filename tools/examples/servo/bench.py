@@ -68,9 +68,9 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 class Run:
     """One run: root mean square and greatest error of each quantity after `SETTLING_S`, and how the loop ran.
 
-    `labelled` tells a model learnt from labels from height map and shear. `touches_s` and `age_ms` are the touches per
-    second that the loop used, and their age then; `lost` is the share of frames that the simulated camera was too slow
-    to draw.
+    `labelled` distinguishes a model learnt from labels from height map and shear. `touches_s` and `age_ms` are the
+    touches per second that the loop used, and their age then; `lost` is the share of frames that the simulated camera
+    was too slow to draw.
     """
 
     scene: str
@@ -117,7 +117,7 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         robot = int(probe.getsockname()[1])
-    told = {"scene": name, "delay_s": delay_s, "port": robot, "kept": str(folder), "log": str(log)}
+    scenario = {"scene": name, "delay_s": delay_s, "port": robot, "kept": str(folder), "log": str(log)}
     program = folder / "rpicam-vid"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m tools.testbed.servo.rpicam_vid "$@"\n')
     program.chmod(0o755)
@@ -127,7 +127,7 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
         config.write_text(_SETTINGS.format(calibration=calibration, model=MODEL, port=broker.port))
         words = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
         daemon = subprocess.Popen(
-            words, env=os.environ | {"SERVO": json.dumps(told), "PATH": path}, stderr=subprocess.DEVNULL
+            words, env=os.environ | {"SERVO": json.dumps(scenario), "PATH": path}, stderr=subprocess.DEVNULL
         )
         try:
             end_s = time.monotonic() + 60

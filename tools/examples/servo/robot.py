@@ -23,7 +23,7 @@ class Robot:
         host, _, port = address.rpartition(":")
         self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._line.connect((host, int(port)))
-        self._told, self._ends = threading.Event(), threading.Event()
+        self._moved, self._ends = threading.Event(), threading.Event()
         self._watch = threading.Thread(target=self._stop_when_silent, name="stop")
 
     def __enter__(self) -> Robot:
@@ -34,21 +34,21 @@ class Robot:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ends.set()
-        self._told.set()
+        self._moved.set()
         self._watch.join()
         self._line.close()
 
     def move(self, velocity: Sequence[float]) -> None:
         """Move with this velocity, (6,), in mm/s and °/s."""
         self._send(velocity)
-        self._told.set()
+        self._moved.set()
 
     def _send(self, velocity: Sequence[float]) -> None:
         self._line.send(" ".join(f"{v:.5f}" for v in velocity).encode())
 
     def _stop_when_silent(self) -> None:
         while not self._ends.is_set():
-            if not self._told.wait(STOP_S):
+            if not self._moved.wait(STOP_S):
                 self._send(STANDSTILL)
-            self._told.clear()
+            self._moved.clear()
         self._send(STANDSTILL)

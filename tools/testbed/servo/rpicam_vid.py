@@ -39,19 +39,19 @@ def main() -> int:
     if (args.width, args.height) != (MODEL.image_width_px, MODEL.image_height_px):
         print(f"ERROR: found {args.width}x{args.height}, expected the simulated sensor's size", file=sys.stderr)
         return 255
-    told = json.loads(os.environ["SERVO"])
-    place, draws = scene(told["scene"], Path(told["kept"])), Renderer(MODEL)
+    scenario = json.loads(os.environ["SERVO"])
+    place, draws = scene(scenario["scene"], Path(scenario["kept"])), Renderer(MODEL)
     colour = bytes([128]) * (args.width * args.height // 2)
     heard: deque[tuple[float, F64]] = deque()
     with (
         Path(args.metadata).open("wb", buffering=0) as records,
-        Path(told["log"]).open("w", buffering=1) as log,
+        Path(scenario["log"]).open("w", buffering=1) as log,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line,
     ):
-        line.bind(("127.0.0.1", told["port"]))
+        line.bind(("127.0.0.1", scenario["port"]))
         threading.Thread(target=_hear, args=(line, heard), daemon=True).start()
         period_s, began_s, n, last = 1 / args.framerate, time.monotonic(), 0, -1
-        robot = LateRobot(place.start, told["delay_s"], began_s)
+        robot = LateRobot(place.start, scenario["delay_s"], began_s)
         print("t_ns,lost", *place.touch(robot.pose), "x_mm", sep=",", file=log)
         while True:
             n = max(n + 1, int((time.monotonic() - began_s) / period_s))  # the frames in between are lost

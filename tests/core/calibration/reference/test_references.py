@@ -66,7 +66,7 @@ def test_light_at_the_rim_is_no_load() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 4])
-def test_a_load_is_told_from_none_on_other_sensors(seed: int) -> None:
+def test_a_load_is_distinguished_from_none_on_other_sensors(seed: int) -> None:
     """Of 32 loads 3 mm deep `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` misses none."""
     model = random_model(seed, 240, 320)
     calibrate(sensor_of(model), references(model, 3))  # not refused
@@ -296,10 +296,10 @@ def test_what_cannot_be_compared_is_not_followed() -> None:
         assert looked.distance is None
 
 
-def test_every_bound_is_told_and_kept() -> None:
+def test_every_bound_is_stated_and_kept() -> None:
     disc = calibrated(count=0).geometry.disc
-    told, still = bounds(disc), Drift(still_part=1.0)
-    over = {name: (0.99 if name in ("light_low", "contrast") else 1.01) * bound for name, bound in told.items()}
+    stated, still = bounds(disc), Drift(still_part=1.0)
+    over = {name: (0.99 if name in ("light_low", "contrast") else 1.01) * bound for name, bound in stated.items()}
     assert beyond(Distance(still, 0.0, 0.0), disc) is None
     assert beyond(Distance(replace(still, row_px=over.pop("shift_px")), 0.0, 0.0), disc)
     assert beyond(Distance(still, -over.pop("common_grey"), 0.0), disc)
