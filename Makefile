@@ -1,5 +1,5 @@
 # make demo    a simulated hand, live in a browser (Python only, never root)
-# make check   format, lint, types, layers and the quick tests: 80 s on two cores
+# make check   format, lint, types, layers and the tests without a mark: 40 s on two cores
 # make docs    the site of docs/, built strictly into out/site
 # make deb     Debian packages for amd64 and arm64, of Debian 12 and 13, into dist/
 # make apt KEY=FINGERPRINT   a signed apt repository of the packages in dist/, into dist/apt, by reprepro

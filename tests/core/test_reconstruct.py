@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 import pytest
 from support.calibrated_sensor import (
+    EVERY_PROFILE,
     FULL,
     HALF,
     TACTIP,
@@ -85,7 +86,7 @@ def unusable(model: SensorModel) -> dict[str, U8]:
     }
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 @pytest.mark.parametrize("model", [HALF, TACTIP], ids=["half", "tactip"])
 def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorModel) -> None:
     inside = reconstructor(profile, model, 0).rays.inside
@@ -130,7 +131,7 @@ def test_every_cell_of_a_contact_has_its_error_and_no_other(profile: str) -> Non
     assert unasked.sigma_mm is None
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_an_unusable_frame_is_invalid_and_zero(profile: str) -> None:
     inside = reconstructor(profile, HALF, 0).rays.inside
     for name, image in unusable(HALF).items():
@@ -162,7 +163,7 @@ def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> N
     assert abs(errors.mean()) < 0.08  # 0.073: balls alone do not show a factor this small
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 @pytest.mark.parametrize("name", ["ball", "cube", "large_crescent"])
 def test_a_result_agrees_with_itself(profile: str, name: str) -> None:
     result = step(profile, pressed(name, 3.0).image)
@@ -181,7 +182,7 @@ def test_a_result_agrees_with_itself(profile: str, name: str) -> None:
     np.testing.assert_allclose(found, np.sort(20 - height.height_mm[height.contact]), atol=1e-3)
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_results_alias_neither_each_other_nor_scratch(profile: str) -> None:
     frames = [pressed("ball", 3.0).image, unloaded(), pressed("cube", 2.0).image, unloaded() * 0]
     made = make_reconstructor(calibrated(), PROFILES[profile])
@@ -205,7 +206,7 @@ def test_a_frame_is_left_as_it_was_and_its_identity_handed_on() -> None:
     assert (result.seq, result.t_ns, result.wall_ns, result.profile) == (42, 43, 44, "fast")
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_each_stage_is_marked_once_in_order(profile: str) -> None:
     marks: list[str] = []
     made = reconstructor(profile)
@@ -227,7 +228,7 @@ def test_a_sensor_that_darkens() -> None:
     assert abs(errors.mean()) < 0.1  # 0.089
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_grey_frames_are_bgr_frames_with_equal_channels(profile: str) -> None:
     grey = np.ascontiguousarray(pressed("ball", 3.0).image[:, :, 1])
     one, three = step(profile, grey), step(profile, np.dstack([grey] * 3))
@@ -248,6 +249,7 @@ def test_odd_sizes_work() -> None:
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
+@pytest.mark.slow
 def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     model = replace(HALF, row_c=80.0)  # of 102.5 px
     result = step("balanced", pressed("ball", 3.0, model).image, model, 0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -112,3 +114,14 @@ def live(
     monkeypatch.setattr(app, "HEALTH_PERIOD_S", 0.2)
     monkeypatch.setattr(app, "STALL_S", 0.8)
     return Live(tmp_path, broker, seen, calibration)
+
+
+numbers = itertools.count()
+
+
+@pytest.fixture
+def link() -> Iterator[Path]:
+    """A place under /dev, as the settings want, that needs no root."""
+    path = Path(f"/dev/shm/tacshade-test-{os.getpid()}-{next(numbers)}")
+    yield path
+    path.unlink(missing_ok=True)

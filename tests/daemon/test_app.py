@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,9 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from support.running_app import BASE, GONE, NEEDS_BROKER, NO_REASON, STOP_S, Live, assert_accounted, paced
+from support.running_app import BASE, GONE, NEEDS_BROKER, NO_REASON, STOP_S, Live, assert_accounted, paced, switched
 
-from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.daemon import profiles, references
+from tacshade_edge.core.profiles import DEFAULT
 from tacshade_edge.daemon.app import reload
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
@@ -28,8 +25,6 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.tables.frame_table import read_table
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import touched_depth_mm
@@ -37,12 +32,6 @@ from tools.testbed.patience import stretched, wait_until
 from tools.testbed.robot import PtyRobot
 
 pytestmark = NEEDS_BROKER
-
-
-def switched(pictures: Any, touch: threading.Event) -> Iterator[Any]:
-    """Free until it is touched."""
-    while True:
-        yield from paced(pictures.touched if touch.is_set() else pictures.free, 1)
 
 
 def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, pictures: Any, scripted: Any) -> None:
@@ -225,238 +214,6 @@ def test_nothing_but_invalid_frames_is_a_degraded_state(live: Live, pictures: An
         free.set()
         live.until_state("online")
         assert live.last("status/camera")["state"] == "streaming"
-
-
-# Requests, and the reference that they take or that follows by itself.
-
-
-def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
-    touch = threading.Event()
-    with live.run(scripted(switched(pictures, touch))):
-        wait_until(lambda: "online" in live.states() and live.payloads("health"), 10, "online")
-        status = live.ask("status")
-        assert (status["ok"], status["result"]["source"]) == (True, "streaming")
-        assert status["result"]["health"]["frames"]["captured"] >= 0
-
-        assert live.ask("profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
-        live.until("info", profile="paper")
-        assert live.ask("profile", profile="slow")["reason_code"] == "unknown_profile"
-        live.ask("profile", profile="fast")
-        assert live.ask("stitch", action="begin")["reason_code"] == "unavailable"
-
-        taken = live.ask("reference")
-        assert taken["ok"] is True, taken
-        assert taken["result"]["frames"] == 10
-        crc = taken["result"]["calibration_crc32"]
-        wait_until(lambda: live.last("info")["geometry"]["calibration_crc32"] == crc, 5, "info reports the reference")
-        touch.set()
-        heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
-        assert wire.decode(heights[-1]).calibration_crc32 == crc
-        assert live.ask("reference")["reason_code"] == "frame_in_contact"
-
-
-def test_a_requested_reference_outlives_a_restart_and_a_reload(live: Live, pictures: Any, scripted: Any) -> None:
-    calibration_file.save(live.folder / "cal.npz", live.calibration)
-    settings = live.document("calibration: cal.npz\n")
-    darker = np.asarray(pictures.free * 0.8, np.uint8)
-
-    def origin() -> tuple[str, int]:
-        info = live.last("info")
-        return info["reference"]["origin"], info["geometry"]["calibration_crc32"]
-
-    with live.run(scripted(paced(darker)), settings) as app:
-        live.until("status/camera", state="streaming")
-        assert origin() == ("calibration", live.calibration.crc32)
-        taken = live.ask("reference")["result"]
-        assert taken["stored"] is True
-        crc = taken["calibration_crc32"]
-        wait_until(lambda: origin() == ("request", crc), 5, "info reports the reference")
-        before = len(live.payloads("info"))
-        app.app.reload()
-        live.seen.wait_for(f"{BASE}/info", before + 1, 5)
-        assert origin() == ("request", crc)
-    before = len(live.payloads("info"))
-    with live.run(scripted(paced(darker)), settings) as app:
-        live.seen.wait_for(f"{BASE}/info", before + 1, 10)
-        assert origin() == ("request", crc)
-        other = replace(live.calibration, reference_grey=np.asarray(live.calibration.reference_grey // 2, np.uint8))
-        newer = calibration_file.save(live.folder / "cal.npz", other)
-        app.app.reload()
-        wait_until(lambda: origin() == ("calibration", newer.crc32), 5, "the new calibration's own")
-        assert live.last("info")["reference"]["reason_code"] == "calibration_changed"
-
-
-def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
-    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(references, "REST_S", 0.2)
-    monkeypatch.setattr(references, "PERIOD_S", 0.2)
-    age = threading.Event()
-
-    def ageing() -> Iterator[Any]:
-        while True:
-            yield from paced(np.asarray(pictures.free * (0.9 if age.is_set() else 1.0), np.uint8), 2)
-
-    def following() -> dict[str, Any]:
-        reference: dict[str, Any] = live.last("health").get("reference", {})
-        return reference
-
-    with live.run(scripted(ageing())):
-        wait_until(lambda: following().get("looks", 0) > 1, 10, "looks")
-        assert (following()["state"], following()["renewals"]) == ("following", 0)
-        assert live.ask("record", action="start", seconds=600, name="one")["ok"]
-        age.set()
-        wait_until(lambda: following()["state"] == "held", 10, "held")
-        assert live.last("info")["geometry"]["calibration_crc32"] == live.calibration.crc32
-        live.ask("record", action="stop")
-        wait_until(lambda: following()["renewals"] == 1, 10, "a renewal")
-        assert following()["light"] == pytest.approx(0.9, abs=0.03)
-        info = live.last("info")
-        assert info["geometry"]["calibration_crc32"] != live.calibration.crc32
-        assert info["reference"]["calibration_crc32"] == live.calibration.crc32
-
-
-class Late:
-    """A source whose frames are so many ms old when they come, as those of a machine that has other work."""
-
-    def __init__(self, source: Any) -> None:
-        self._source = source
-        self.ms = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._source, name)
-
-    def read(self) -> Any:
-        frame = self._source.read()
-        return frame and replace(frame, t_ns=frame.t_ns - self.ms * 1_000_000)
-
-
-def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
-    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO)
-    for name, value in (("PATIENCE_S", 0.2), ("WINDOW_FRAMES", 15), ("LATE_FRAMES", 2)):
-        monkeypatch.setattr(profiles, name, value)
-    budget_ms = 1000  # of a test's machine, which has other work too
-    source = Late(scripted(paced(pictures.touched, period_s=0.005)))
-    ladder = list(LADDER)
-
-    def used() -> list[str]:
-        return [json.loads(payload)["profile"] for payload in live.payloads("info")]
-
-    def budget() -> Any:
-        return live.last("health").get("budget") or {}
-
-    with live.run(source, f"profile: auto\nlatency_budget_ms: {budget_ms}\n"):
-        wait_until(lambda: budget().get("kept"), 20, "the budget is kept")
-        info = live.last("info")
-        assert (info["choice"], info["profile"], info["profiles"]) == ("auto", ladder[0], [*PROFILES, "auto"])
-        assert budget()["p90_ms"] <= budget_ms == budget()["latency_budget_ms"]
-
-        source.ms = 5 * budget_ms
-        wait_until(lambda: used()[-1] == ladder[-1], 20, "stepped down")
-        wait_until(lambda: budget().get("kept") is False, 20, "health says that it is not kept")
-        assert (budget()["profile"], budget()["steps_down"], budget()["steps_up"]) == (ladder[-1], len(ladder) - 1, 0)
-        assert budget()["p90_ms"] > budget_ms
-
-        source.ms = 0
-        wait_until(lambda: used()[-1] == ladder[0], 30, "stepped up")
-        wait_until(lambda: budget().get("kept"), 20, "kept again")
-        wait_until(lambda: budget()["steps_up"] == len(ladder) - 1, 20, "health counts the steps")
-        assert [profile for profile, _ in groupby(used())] == ladder + ladder[-2::-1]
-        assert all(json.loads(payload)["choice"] == "auto" for payload in live.payloads("info"))
-
-        assert live.ask("profile", profile="fast")["result"] == {"profile": "fast"}
-        live.until("info", choice="fast")
-        live.until("health", budget=None)
-        assert live.ask("profile", profile="auto")["result"] == {"profile": ladder[0]}
-        live.until("info", choice="auto")
-    live.until_state("stopped")
-    assert_accounted(live.last("health")["frames"])
-    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: stepped from ")]
-    assert len(steps) == 2 * (len(ladder) - 1)
-
-
-# Recording.
-
-
-def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_reference(
-    live: Live, pictures: Any, scripted: Any
-) -> None:
-    lose = threading.Event()
-
-    def first() -> Iterator[Any]:
-        while not lose.is_set():
-            yield from paced(pictures.free, 2)
-        yield GONE
-
-    def recorded() -> Any:
-        return live.last("status/recorder")
-
-    folder = live.folder / "recs" / "one"
-    with live.run(scripted(first(), GONE, paced(pictures.free))):
-        live.until("status/camera", state="streaming")
-        wait_until(lambda: recorded() == {"state": "idle", **NO_REASON}, 5, "idle")
-        assert live.ask("record", action="stop")["reason_code"] == "no_recording"
-        started = live.ask("record", action="start", seconds=600, name="one")
-        assert started == {"ok": True, "result": {"folder": str(folder)}}
-        again = live.ask("record", action="start", seconds=600, name="two")
-        assert again == {"ok": False, "error": f"busy: already recording to {folder}", "reason_code": "busy"}
-        wait_until(lambda: recorded()["frames"] > 5, 10, "frames")
-        assert recorded()["state"] == "recording"
-        assert live.ask("record", action="mark", text="now")["result"]["folder"] == str(folder)
-        lose.set()
-        wait_until(lambda: any(str(GONE).encode() in each for each in live.payloads("status/camera")), 10, "lost")
-        live.until("status/camera", state="streaming")
-        frames = recorded()["frames"]
-        live.ask("profile", profile="paper")
-        live.ask("profile", profile="fast")
-        wait_until(lambda: recorded()["frames"] > frames + 5, 10, "more frames")
-        crc = live.ask("reference")["result"]["calibration_crc32"]
-        status = live.until("status/recorder", state="stopped")
-        assert status["reason"] == status["ending"] == "the reference or calibration changed"
-        assert status["reason_code"] == status["ending_code"] == "calibration_changed"
-        live.until("health", recorder={"written": status["frames"], "dropped": 0, "waiting": 0})
-
-        # The next has the new reference beside it, and a stop that is answered when all is written.
-        live.ask("record", action="start", seconds=600, name="two")
-        wait_until(lambda: recorded()["state"] == "recording" and recorded()["frames"] > 5, 10, "frames")
-        stopped = live.ask("record", action="stop")["result"]
-        assert (stopped["ending"], stopped["ending_code"]) == ("stopped", "stopped")
-        assert len(read_table(live.folder / "recs" / "two" / "frames.csv")) == stopped["frames"]
-        assert calibration_file.load(live.folder / "recs" / "two" / "calibration.npz").crc32 == crc
-        live.until("status/recorder", state="idle")
-    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
-    assert events.pop(1)["data"] == {"text": "now"}
-    assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
-    assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
-    assert (events[1]["data"]["reason"], events[1]["data"]["reason_code"]) == (str(GONE), "device")
-    assert [event["data"]["profile"] for event in events[3:]] == ["paper", "fast", "fast"]
-    crcs = [event["data"]["calibration_crc32"] for event in events[3:]]
-    assert crcs == [live.calibration.crc32, live.calibration.crc32, crc]
-    assert calibration_file.load(folder / "calibration.npz").crc32 == live.calibration.crc32
-    rows = read_table(folder / "frames.csv")
-    assert rows[0].t_ns < events[1]["t_ns"] < rows[-1].t_ns
-
-
-def test_a_recording_begins_before_it_is_asked_for(live: Live, pictures: Any, scripted: Any) -> None:
-    path = live.document().path
-    path.write_text(path.read_text().replace("recs}", "recs, pre_roll_s: 30}"))
-    with live.run(scripted(paced(pictures.free)), load(path)):
-        wait_until(lambda: live.last("health").get("recorder", {}).get("pre_roll", 0) > 20, 10, "frames are kept")
-        assert live.ask("record", action="start", seconds=600, name="one")["ok"]
-        assert live.ask("record", action="mark")["ok"]
-        stopped = live.ask("record", action="stop")["result"]
-        counts = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "pre_roll_dropped": 0}
-        wait_until(lambda: counts.items() <= live.last("health")["recorder"].items(), 5, f"health reports {counts}")
-    folder = live.folder / "recs" / "one"
-    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
-    start_ns = next(event["t_ns"] for event in events if event["kind"] == "start")
-    recording, times_ns = Recording(folder), list[int]()
-    while (read := recording.read()) is not None:
-        times_ns.append(read.frame.t_ns)
-    assert len(times_ns) == stopped["frames"]
-    assert sum(t_ns < start_ns for t_ns in times_ns) > 20
 
 
 # Before there is a calibration: the camera's picture, and what to do; then the calibration comes.

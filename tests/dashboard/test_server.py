@@ -118,6 +118,7 @@ async def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture)
     assert reported == "rejected a connection (1 so far): 48 connections are already open, the limit"
 
 
+@pytest.mark.slow
 async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
     ping = b"\x89\xfd\0\0\0\0" + bytes(125)
 

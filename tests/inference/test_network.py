@@ -132,6 +132,7 @@ def traced(folder: Path, code: str) -> list[str]:
     return calls.read_text().splitlines() + [str(path) for path in home.rglob("*")]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
 def test_the_library_sends_nothing_and_writes_nothing(tmp_path: Path) -> None:
     """From 1.29 on its wheels for Linux report to their maker, unless one forbids it."""

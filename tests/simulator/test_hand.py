@@ -64,6 +64,7 @@ def skin_points() -> F64:
     return RADIUS_MM * np.stack((rho * np.cos(angle), rho * np.sin(angle), z), axis=-1).reshape(-1, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
 @given(rotation=VECTORS, aside=st.tuples(*[st.floats(-5, 5)] * 2), moved=SMALL, seed=st.integers(0, 99))
 def test_a_press_puts_the_objects_surface_where_it_is(
@@ -81,6 +82,7 @@ def test_a_press_puts_the_objects_surface_where_it_is(
     assert np.abs(press.distance_mm(RADIUS_MM, points.astype(np.float32)) - expected).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
 @given(rotation=VECTORS, aside=st.tuples(*[st.floats(-5, 5)] * 2))
 def test_the_middle_of_a_contact_lies_on_the_object_inside_the_skin(

@@ -67,6 +67,7 @@ def test_a_press_in_the_same_noise_is_a_contact(profile: str) -> None:
         assert sound_step(made(profile, "half"), camera_faults.noise(pressed("ball", 2.0).image, 4, seed)).contact
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_no_constant_is_a_contact(profile: str) -> None:
     made = make_reconstructor(built_calibration(96, 128), PROFILES[profile])

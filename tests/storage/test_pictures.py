@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster
@@ -24,6 +25,7 @@ def result_of(image: U8) -> Reconstruction:
     return make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, image))
 
 
+@pytest.mark.slow
 def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
     images = [FREE, TOUCHED, BLACK, np.dstack([TOUCHED] * 3), FREE]
     tiles = [tile(f"{k}", image, result_of(image)) for k, image in enumerate(images)]

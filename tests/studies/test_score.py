@@ -240,6 +240,7 @@ def test_a_truth_that_cannot_be_is_one_line(tmp_path: Path, content: dict[str, A
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_what_simulate_writes_is_a_truth(tmp_path: Path) -> None:
     assert main(["simulate", "--out", str(tmp_path), "--objects", "ball"]) == 0
     known, name = read_truth(tmp_path / "000_ball.npz", (480, 640), SensorModel().geometry)

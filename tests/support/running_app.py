@@ -37,6 +37,12 @@ def paced(image: U8, frames: int | None = None, period_s: float = 0.02) -> Itera
         sent += 1
 
 
+def switched(pictures: Any, touch: threading.Event) -> Iterator[Any]:
+    """Free until it is touched."""
+    while True:
+        yield from paced(pictures.touched if touch.is_set() else pictures.free, 1)
+
+
 def document(folder: Path, port: int, more: str = "") -> Document:
     path = folder / "settings.yaml"
     if "calibration:" not in more:  # never the machine's own

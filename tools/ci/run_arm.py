@@ -25,6 +25,7 @@ import numpy as np
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
+from tools.ci.run_tests import QUICK
 from tools.rig.arm64 import instructions_each
 from tools.testbed.mqtt_rig import Broker
 
@@ -32,7 +33,6 @@ TREE = Path(__file__).resolve().parents[2]
 ARM = (sys.executable, "-m", "tools.rig.arm64")
 GIVEN = Path(".rig/arm")  # below the tree, which is another folder there
 PYTHONS = ("3.11", "3.13")
-QUICK = "not guest and not broker and not slow and not browser"
 WORKERS = str(os.cpu_count() or 1)
 HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
 """Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, and

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 import re
+import sys
 from pathlib import Path
+from types import FrameType
 
 import cv2
 import numpy as np
@@ -12,6 +15,7 @@ from support.calibrated_sensor import calibrated, pressed, simulated, unloaded
 from support.networks import fitted_with
 from support.sensor_files import write_files
 
+import tacshade_edge
 from tacshade_edge.cli import main
 from tacshade_edge.core.calibration.indenters import Ball
 from tacshade_edge.factories import calibrations
@@ -79,6 +83,24 @@ def test_what_was_fitted_is_printed_and_stored(
     assert {key: report[key] for key in figures} == pytest.approx(figures, abs=1e-4)
     assert report["verdict_line"].startswith(report["verdict"])
     assert report["to_do"][0].startswith("10 presses")
+
+
+def test_it_runs_few_files(words: list[str], tmp_path: Path) -> None:
+    """Of the package, so that one can read how a calibration is made."""
+    package, files = str(Path(tacshade_edge.__file__).parent), set()
+
+    def see(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_flags & inspect.CO_OPTIMIZED and code.co_filename.startswith(package):
+            files.add(code.co_filename)
+
+    sys.setprofile(see)
+    try:
+        assert main(["calibrate", *words, "--out", str(tmp_path / "cal.npz")]) == 0
+    finally:
+        sys.setprofile(None)
+    print(f"figure: calibrate runs functions of {len(files)} files")
+    assert len(files) <= 50, sorted(files)
 
 
 def test_a_folder_of_references_and_a_picture_of_what_was_found(

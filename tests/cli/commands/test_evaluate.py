@@ -95,6 +95,7 @@ def test_invalid_images_are_refused_one_by_one_and_exit_1(own: Path, capsys: pyt
     assert refused == "2"
 
 
+@pytest.mark.slow
 def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cv2.imwrite(str(own / "images" / "alone.png"), TOUCHED)
     assert main(of_own(own)) == 1

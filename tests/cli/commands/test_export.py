@@ -82,6 +82,7 @@ def test_ply_has_the_cloud_of_each_contact(recording: Path) -> None:
     assert 15 < points["z"].min() < points["z"].max() < 20
 
 
+@pytest.mark.slow
 def test_mcap_opens_in_its_own_library_and_is_replayed_as_the_folder(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -155,6 +156,7 @@ def test_a_missing_extra_is_named(
     assert "to install it: pip install '.[mcap]' in the clone" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fingers = [str(path) for path in record_hand(tmp_path)]
     assert main(["export", *fingers, "--to", "csv", "--out", str(tmp_path / "hand.csv")]) == 0

@@ -72,6 +72,7 @@ def test_every_frame_by_the_recordings_clock(folder: Path, capsys: pytest.Captur
     assert set(timings["stages_ms"]) >= {"check", "grey", "cloud", "deliver"}
 
 
+@pytest.mark.slow
 def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = str(folder / "a"), str(folder / "b")
     assert main(words(folder, "--out", first)) == 0

@@ -95,6 +95,7 @@ def test_the_report_of_a_board_names_no_host(
     assert socket.gethostname() not in printed
 
 
+@pytest.mark.slow
 def test_a_twin_looks_like_its_sensor() -> None:
     found = found_prints()[0]
     model, layout = found.at(found.values)
@@ -121,6 +122,7 @@ def test_wrong_usage(words: list[str]) -> None:
         main(["tradeoff", *words])
 
 
+@pytest.mark.slow
 def test_what_is_not_there_is_one_line_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for path in (own / "images").glob("coin.*"):
         path.unlink()

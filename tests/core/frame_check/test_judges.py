@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated, unloaded
+from support.calibrated_sensor import EVERY_PROFILE, FULL, HALF, TACTIP, calibrated, pressed, simulated, unloaded
 from support.examples import examples
 
 from tacshade_edge.core.frame_check import Judges, PictureJudge, first_reason, picture, plain_judges
@@ -55,7 +55,7 @@ def test_a_bad_frame_is_refused_for_its_reason(touched: bool, name: str) -> None
     assert "\n" not in str(reason)
 
 
-@pytest.mark.parametrize("model", [HALF, TACTIP], ids=["half", "tactip"])
+@pytest.mark.parametrize("model", [HALF, pytest.param(TACTIP, marks=pytest.mark.slow)], ids=["half", "tactip"])
 def test_an_unloaded_frame_is_good_also_with_a_nuisance(model: SensorModel) -> None:
     good, asked = unloaded(model), judges(model)
     for image in (
@@ -81,7 +81,7 @@ def test_no_contact_raises_a_false_alarm(model: SensorModel) -> None:
             assert asked.reason(to_grey(image)) is None, (name, depth)
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_the_judges_see_the_same_in_every_profile(profile: str) -> None:
     made = make_reconstructor(calibrated(FULL, 0), PROFILES[profile])
     for image in (unloaded(FULL), pressed("ball", 2.0, FULL).image, camera_faults.shift(unloaded(FULL), 4, 5)):

@@ -43,6 +43,7 @@ def off(found: FoundFlange) -> F64:
     return np.concatenate((moved_mm, np.degrees(turned.ravel()), (found.delay_ms - DELAY_MS,)))
 
 
+@pytest.mark.slow
 def test_the_plan_finds_it_from_ten_millimetres_and_ten_degrees_wherever_the_base_is() -> None:
     # The surface hangs on a wall a metre away.
     base = shift(1000, -500, 30) @ turn((0, 1.5, 0.8))
@@ -62,6 +63,7 @@ def test_the_plan_finds_it_from_ten_millimetres_and_ten_degrees_wherever_the_bas
     assert found.left_mm < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("turns", "names"), [(ONE, "translation along x, y, z"), (YAWS, "translation along z")])
 def test_a_motion_that_is_missing_is_named_and_nothing_said_of_the_delay(turns: Turns, names: str) -> None:
     # The sensor's axes are the flange's here, so that the names are those of the plan.

@@ -90,6 +90,7 @@ def test_what_overlaps_nothing_stays() -> None:
     assert part_of(alone, presses) == 0
 
 
+@pytest.mark.slow
 def test_the_robots_part_grows_with_its_error() -> None:
     parts = [part_of(misreported(TRUE, 5, mm, 2 * mm)) for mm in (0.1, 0.3, 0.6)]
     assert part_of(TRUE) == 0

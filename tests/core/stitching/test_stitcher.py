@@ -82,6 +82,7 @@ def test_a_press_that_fits_nowhere_is_left_out() -> None:
     assert rms_mm(finished) < 0.06
 
 
+@pytest.mark.slow
 def test_a_point_that_fits_nowhere_counts_little() -> None:
     wild = PRESSES[24].points_mm.copy()
     wild[::50, 2] -= 3.0

@@ -58,6 +58,7 @@ def test_a_caller_hears_what_follows() -> None:
         caller.stop()
 
 
+@pytest.mark.slow
 def test_the_library_hears_what_follows() -> None:
     contact = messages.encode_contact(bump(7, 0.0, 236.0, 328.0, step_px=8), fps=60.0)
     info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=None)

@@ -169,6 +169,7 @@ def test_a_loop_goes_on_in_time_and_a_file_states_its_length_unless_it_was_cut_o
     assert (Recording(path).length_ns, Recording(path).cut_off) == (0, True)
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_costs_a_chunk_at_most_and_is_reported(tmp_path: Path) -> None:
     whole = ours(4)
     good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
@@ -187,6 +188,7 @@ def test_one_flipped_bit_costs_a_chunk_at_most_and_is_reported(tmp_path: Path) -
         assert len(frames) == 4 or refused
 
 
+@pytest.mark.slow
 def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_path: Path) -> None:
     whole = ours(5)
     chunks = [begin for begin in record_starts(whole) if whole[begin] == CHUNK]

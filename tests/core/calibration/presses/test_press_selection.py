@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,9 +23,10 @@ from tacshade_edge.core.calibration.presses.press_selection import (
     outliers,
     select_presses,
 )
+from tacshade_edge.core.depth import Network
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import load_networks
+from tacshade_edge.inference.network import load_network
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.script import ball_presses
@@ -33,14 +35,18 @@ from tools.testbed.simulator.families import sensor_name
 
 pytestmark = pytest.mark.slow
 
-ACCURATE = load_networks()["accurate"]
-NAMES = [press.name for press in presses()]
+NAMES = [f"press {k}" for k in range(20)]
+
+
+@cache
+def accurate() -> Network:
+    return load_network("accurate")
 
 
 def selected(*changed: KnownPress, network: bool = False) -> Selection:
     """Of the presses, of which the changed ones replace those of their names."""
     table = {press.name: press for press in (*presses(), *changed)}
-    return select_presses(calibrated(count=0), list(table.values()), ACCURATE if network else None)
+    return select_presses(calibrated(count=0), list(table.values()), accurate() if network else None)
 
 
 def named(lines: tuple[str, ...]) -> list[str]:
@@ -121,7 +127,7 @@ def fitted(name: str, count: int = 14, **changed: float) -> tuple[SensorModel, l
 
 
 def with_networks(model: SensorModel, free: list[U8], table: list[KnownPress]) -> CalibrationResult:
-    return calibrate(sensor_of(model), free, table, networks={"accurate": ACCURATE})
+    return calibrate(sensor_of(model), free, table, networks={"accurate": accurate()})
 
 
 def test_a_true_table_is_not_refused() -> None:

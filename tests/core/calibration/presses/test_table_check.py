@@ -93,6 +93,7 @@ def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
     assert len(gross_mistakes(unplaced, geometry)) == ("they" in mistake or "depths" in mistake)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_axes_are_judged_without_a_network_too(seed: int) -> None:
     presses, geometry = observed(seed)
