@@ -2,7 +2,8 @@
 
 From where the pins seem to be (`pins`), lengths, radii and the lattice are fitted to the white of the cells as the
 networks receive it (Levenberg and Marquardt). Pins near the rim are seen from the side, so how far a tip lies from its
-base gives the length, which statistics of the picture cannot tell from the radius of the base.
+base gives the length, which statistics of the picture cannot tell from the radius of the base. The picture's blur is
+fitted as well, because a blurred pin shows less black than a sharp one: its sharpness tells it from a thinner pin.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from tacshade_edge.simulator.render import (
     project,
 )
 from tacshade_edge.simulator.skin import Skin, undeformed
-from tacshade_edge.types import F32, F64, U8, Calibration
+from tacshade_edge.types import F32, F64, U8, Bool, Calibration
 
 PARAMETERS = ("pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches")
 DEVIATIONS = np.array((0.10, 0.015, 0.02, 0.02))
@@ -61,6 +62,10 @@ SHARPER = (1.0, 0.5, 0.0)
 """Smoothing of the white in the steps of a fit, in cells: a smooth map has one minimum, a sharp one the best."""
 ALIKE_CELLS = 10
 """Neighbouring cells err alike: this many count as one in the covariance."""
+BLURS_PX, BLUR_STEP_PX = (0.2, 3.0), 0.08
+SHARP_PX, SHARPNESS_WEIGHT = 0.7, 200.0
+"""`sharpness` compares gradients with those after a blur of this standard deviation. Its weight in a fit lets a
+difference of one in a hundred count as much as a change of all cells by 0.02."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +95,9 @@ KINDS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A print that was fitted to a reference. `values` (float64 (P,)): `PARAMETERS`, then the lattice's values if there
-    is one. `covariance`: float64 (P, P). `residual`: RMS of the white that the print does not explain, over that of the
-    reference's white.
+    """A print that was fitted to a reference. `values` (float64 (P,)): `PARAMETERS`, the lattice's values if there is
+    one, then the blur in px. `covariance`: float64 (P, P). `residual`: RMS of the white that the print leaves
+    unexplained, over that of the reference's white.
     """
 
     kind: Kind
@@ -105,7 +110,7 @@ class Found:
 
     def at(self, values: F64) -> tuple[SensorModel, Layout]:
         """The sensor with these values, and where its pins are."""
-        return with_print(self.base, self.kind, values[:4]), self.tips or Lattice(values[4:])
+        return sensor_with(self.base, self.kind, self.tips, values)
 
     def cloud(self) -> F64:
         """Covariance of the values that the reference leaves possible, (P, P): the fit's, and errors of the model."""
@@ -151,7 +156,6 @@ def base_model(calibration: Calibration) -> SensorModel:
         surround="dark",
         position_tolerance_mm=0.0,
         size_tolerance=0.0,
-        blur_px=max(0.7, calibration.geometry.disc.radius_px / 300),
     )
 
 
@@ -162,6 +166,12 @@ def with_print(model: SensorModel, kind: Kind, values: F64) -> SensorModel:
     if kind.white_tips:
         return replace(model, skin_reflectance=0.1, marker_reflectance=0.1, pin_reflectance=0.09, pin_tip_reflectance=1)
     return replace(model, marker_reflectance=1, pin_tip_reflectance=model.pin_reflectance)
+
+
+def sensor_with(base: SensorModel, kind: Kind, tips: Tips | None, values: F64) -> tuple[SensorModel, Layout]:
+    """The sensor with the values of a fit, and where its pins are."""
+    model = replace(with_print(base, kind, values[:4]), blur_px=float(values[-1]))
+    return model, tips or Lattice(values[4:-1])
 
 
 def print_of(model: SensorModel, kind: Kind, layout: Layout) -> Print:
@@ -213,6 +223,17 @@ class TwinRenderer(Renderer):
         return compiled.carried(skin, chart_mm, friction)
 
 
+def sharpness(grey: U8, mask: Bool) -> float:
+    """How much steeper a picture is than after a slight blur, as a logarithm; it does not depend on the light."""
+
+    def steep(image: F32) -> float:
+        by_axis = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8)[mask] for axis in ((1, 0), (0, 1)))
+        return sum(float(np.square(each).sum()) for each in by_axis)
+
+    image = grey.astype(np.float32)
+    return math.log(max(steep(image), 1e-6) / max(steep(cv2.GaussianBlur(image, (0, 0), SHARP_PX)), 1e-6))
+
+
 def at_rest(model: SensorModel, kind: Kind, marks: Print, light: F32) -> U8:
     """A noiseless picture of the unloaded skin."""
     drawn = TwinRenderer(model, kind, marks, light).draw(undeformed(model.skin_radius_mm))
@@ -225,13 +246,15 @@ class Problem:
 
     white: WhiteMap
     reference: F32
+    sharp: float
+    middle: Bool
     light: F32
     base: SensorModel
     kind: Kind
     tips: Tips | None
 
     def against(self, sigma_cells: float) -> Callable[[F64], F64]:
-        """The white that values leave unexplained, smoothed over cells."""
+        """The white that values leave unexplained, smoothed over cells, then the sharpness."""
 
         def soft(cells: F32) -> F64:
             cells = cv2.GaussianBlur(cells, (0, 0), sigma_cells) if sigma_cells else cells
@@ -240,9 +263,10 @@ class Problem:
         target = soft(self.reference)
 
         def residual(values: F64) -> F64:
-            model = with_print(self.base, self.kind, values[:4])
-            marks = print_of(model, self.kind, self.tips or Lattice(values[4:]))
-            return soft(self.white.of(at_rest(model, self.kind, marks, self.light))) - target
+            model, layout = sensor_with(self.base, self.kind, self.tips, values)
+            picture = at_rest(model, self.kind, print_of(model, self.kind, layout), self.light)
+            blurred = SHARPNESS_WEIGHT * (sharpness(picture, self.middle) - self.sharp)
+            return np.append(soft(self.white.of(picture)) - target, blurred)
 
         return residual
 
@@ -261,40 +285,46 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     base = replace(base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6))
     dark, tips = find_tips(calibration, False, NOMINAL_PITCHES), find_tips(calibration, True, 0.7)
     lattice = find_lattice(calibration, dark, NOMINAL_PITCHES)
+    disc = calibration.geometry.disc
+    middle = disc_mask(*calibration.reference_grey.shape, replace(disc, radius_px=0.9 * disc.radius_px))
+    sharp, blur_px = sharpness(calibration.reference_grey, middle), max(0.7, disc.radius_px / 300)
     e = 0.02 * base.pitch_mm
-    steps = np.concatenate((STEPS, (e, e, e / 8, e / 8, e / 8, e / 8, 0.004)))
-    low, high = np.append(LOWEST, [*[-99.0] * 6, -0.3]), np.append(HIGHEST, [*[99.0] * 6, 0.3])
     begun = []
     for kind in KINDS:
         if kind.white_tips and len(tips) > 12:
-            problem = Problem(white, reference, light, base, kind, Tips(tips))
-            starts, free = [np.array((0.6, 0.25, 0.25, 0.4))], [0, 1, 2]
+            seen_at, place = Tips(tips), np.zeros(0)
+            lengths, others, first = (0.6,), (0.25, 0.25, 0.4), (0, 1, 2)
         elif lattice is not None and not kind.white_tips:
-            problem = Problem(white, reference, light, base, kind, None)
-            starts = [np.concatenate(((length, 0.35, 0.28, 0.45), lattice.values)) for length in (1.1, 1.6, 2.0)]
-            free = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10]
+            seen_at, place = None, lattice.values
+            lengths, others, first = (1.1, 1.6, 2.0), (0.35, 0.28, 0.45), (0, 1, 3)
         else:
             continue
+        problem = Problem(white, reference, sharp, middle, light, base, kind, seen_at)
+        starts = [np.array((length, *others, *place, blur_px)) for length in lengths]
         for start in starts:
             start[list(known)] = list(known.values())
-        free, n = [k for k in free if k not in known], len(starts[0])
+        reach = np.array((*[99.0] * 6, 0.3))[: len(place)]
+        limits = (
+            np.array((*STEPS, *(e, e, e / 8, e / 8, e / 8, e / 8, 0.004)[: len(place)], BLUR_STEP_PX)),
+            np.array((*LOWEST, *-reach, BLURS_PX[0])),
+            np.array((*HIGHEST, *reach, BLURS_PX[1])),
+        )
+        free = [k for k in (*first, *range(4, len(starts[0]))) if k not in known]
         rough, finer = problem.against(2.0), problem.against(1.0)
-        starts = [levenberg(rough, each, free, steps[:n], low[:n], high[:n], 4)[0] for each in starts]
+        starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
         if not problem.tips:
             starts += [_resized(each, sizes, known) for each in starts for sizes in SIZES]
         starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
-        fits = [levenberg(finer, each, free, steps[:n], low[:n], high[:n], 4) for each in starts[:STARTS]]
-        begun.append((min(fits, key=lambda fit: fit[1]), problem))
+        fits = [levenberg(finer, each, free, *limits, 4) for each in starts[:STARTS]]
+        begun.append((min(fits, key=lambda fit: fit[1]), problem, limits))
     begun.sort(key=lambda each: each[0][1])
     spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
     made = []
-    for (start, _, _), problem in begun[:FINISHED]:
-        n, free = len(start), [k for k in ([0, 1, 2] if problem.tips else range(11)) if k not in known]
-        values = start
+    for (values, _, _), problem, limits in begun[:FINISHED]:
+        n = len(values)
+        free = [k for k in (0, 1, 2, *range(4 if problem.tips else 3, n)) if k not in known]
         for sigma_cells in SHARPER:
-            values, cost, jacobian = levenberg(
-                problem.against(sigma_cells), values, free, steps[:n], low[:n], high[:n], 7
-            )
+            values, cost, jacobian = levenberg(problem.against(sigma_cells), values, free, *limits, 7)
         seen = np.abs(jacobian).sum(axis=0) > 1e-9
         covariance = np.zeros((n, n))
         at = np.array(free)[seen]

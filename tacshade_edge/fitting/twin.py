@@ -22,7 +22,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.fitting.identify import Found, TwinRenderer, WhiteMap, print_of
+from tacshade_edge.fitting.identify import BLURS_PX, Found, TwinRenderer, WhiteMap, print_of
 from tacshade_edge.fitting.skins import (
     NUISANCE_PART,
     Unevenness,
@@ -139,7 +139,7 @@ class View:
             row_c=disc.row_c + float(rng.normal(0, 0.3)),
             col_c=disc.col_c + float(rng.normal(0, 0.3)),
             disc_radius_px=disc.radius_px * (1 + float(rng.normal(0, 0.003))),
-            blur_px=model.blur_px * float(rng.uniform(0.7, 1.4)),
+            blur_px=model.blur_px * float(rng.uniform(0.85, 1.2)),
             read_noise_grey=float(rng.uniform(0.8, 3.0)),
             shot_noise_grey=float(rng.uniform(1.0, 4.0)),
             specular_spots=int(rng.integers(0, 5)),
@@ -184,6 +184,7 @@ def drawn_values(found: Found, rng: np.random.Generator) -> F64:
     """A member of the cloud of prints that look like the reference."""
     values = rng.multivariate_normal(found.values, found.cloud())
     values[:4] = np.clip(values[:4], LOWEST, HIGHEST)
+    values[-1] = np.clip(values[-1], *BLURS_PX)
     return values
 
 
