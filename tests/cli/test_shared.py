@@ -75,7 +75,7 @@ def test_a_fault_is_not_hidden_by_another_of_the_same_format(written: Written) -
 
 def test_texts_without_end_are_bounded_and_hide_no_other_format() -> None:
     limit = Limit()
-    assert sum(limit.passes(("a", "%s", f"x{k}"), 0.0) for k in range(2_000)) == 128 + AT_ONCE
+    assert sum(limit.passes(("a", "%s", f"x{k}"), 0.0) for k in range(2_000)) == 16 + AT_ONCE
     assert limit.passes(("a", "another %s", "another"), 0.0)
     assert limit.passes(("a", "%s", "later"), 2 * PERIOD_S)  # the texts that were quiet meanwhile are forgotten
     for k in range(2_000):  # formats that are made, each another

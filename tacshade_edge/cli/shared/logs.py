@@ -19,8 +19,10 @@ AT_ONCE: Final = 10
 PERIOD_S: Final = 10.0
 """Limit on what says the same but for its numbers: AT_ONCE in a burst, then one per PERIOD_S."""
 
+_TEXTS_MAX: Final = 16
 _KINDS_MAX: Final = 128
-"""Texts that are told apart; any further text of a format counts as one until a quiet text is forgotten."""
+"""Texts that are distinguished, of one format and in all; any further text of a format counts as one until a quiet
+text is forgotten."""
 _TEXT_CHARS_MAX: Final = 200
 _NUMBER: Final = re.compile(r"(?<![\w/.:-])\d+(?:\.\d+)?(?![\w/:-]|\.\d)")
 
@@ -70,11 +72,12 @@ class Limit:
     def passes(self, text: Text, now_s: float) -> bool:
         """Whether to log one more message that says this; if not, count it as left out."""
         name, form, _ = text
-        if len(self._kinds) >= _KINDS_MAX and text not in self._kinds:
+        if self._is_too_many(text):
             kept = {key: kind for key, kind in self._kinds.items() if kind.left_out or kind.free_at(now_s) < AT_ONCE}
             self._kinds = kept
-        room = ((text, _KINDS_MAX), ((name, form, form), 2 * _KINDS_MAX), (("", "", ""), sys.maxsize))
-        key = next(key for key, most in room if key in self._kinds or len(self._kinds) < most)
+        if self._is_too_many(text):
+            text = (name, form, form)
+        key = text if text in self._kinds or len(self._kinds) < 2 * _KINDS_MAX else ("", "", "")
         kind = self._kinds.setdefault(key, _Kind(AT_ONCE, now_s))
         kind.free, kind.at_s = kind.free_at(now_s), now_s
         if kind.free < 1:
@@ -82,6 +85,10 @@ class Limit:
             return False
         kind.free -= 1
         return True
+
+    def _is_too_many(self, text: Text) -> bool:
+        alike = sum(key[:2] == text[:2] for key in self._kinds)
+        return text not in self._kinds and (alike >= _TEXTS_MAX or len(self._kinds) >= _KINDS_MAX)
 
     def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
         """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
