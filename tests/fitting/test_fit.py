@@ -110,7 +110,7 @@ def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
     ("simulated", "pressed", "kept"),
     [
         ((0.3, 0.2), (None, None), True),
-        ((0.3, 0.27), (None, None), False),
+        ((0.3, 0.31), (None, None), False),
         ((0.3, 0.27), (0.3, 0.2), True),
         ((0.3, 0.2), (0.3, None), False),
         ((0.3, 0.2), (0.3, 0.31), False),
@@ -123,13 +123,6 @@ def test_a_network_is_kept_if_it_is_better_on_both(
     report = _report(*simulated, *pressed)
     assert report.kept == kept
     assert report.line.endswith("the shipped network stays") != kept
-
-
-def test_without_presses_the_trained_network_decides_and_the_kept_one_is_reported() -> None:
-    report = replace(_report(0.3, 0.28), trained_mm=0.2)
-    assert report.kept
-    assert "off by 0.28 mm" in report.line
-    assert not replace(report, trained_mm=0.27).kept
 
 
 def _report(*errors: float | None) -> NetworkReport:
