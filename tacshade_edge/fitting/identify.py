@@ -286,17 +286,18 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     dark, tips = find_tips(calibration, False, NOMINAL_PITCHES), find_tips(calibration, True, 0.7)
     lattice = find_lattice(calibration, dark, NOMINAL_PITCHES)
     disc = calibration.geometry.disc
-    middle = disc_mask(*calibration.reference_grey.shape, replace(disc, radius_px=0.9 * disc.radius_px))
+    size = calibration.image_height_px, calibration.image_width_px
+    middle = disc_mask(*size, replace(disc, radius_px=0.9 * disc.radius_px))
     sharp, blur_px = sharpness(calibration.reference_grey, middle), max(0.7, disc.radius_px / 300)
     e = 0.02 * base.pitch_mm
     begun = []
     for kind in KINDS:
         if kind.white_tips and len(tips) > 12:
             seen_at, place = Tips(tips), np.zeros(0)
-            lengths, others, first = (0.6,), (0.25, 0.25, 0.4), (0, 1, 2)
+            lengths, others, first = [0.6], (0.25, 0.25, 0.4), (0, 1, 2)
         elif lattice is not None and not kind.white_tips:
             seen_at, place = None, lattice.values
-            lengths, others, first = (1.1, 1.6, 2.0), (0.35, 0.28, 0.45), (0, 1, 3)
+            lengths, others, first = [1.1, 1.6, 2.0], (0.35, 0.28, 0.45), (0, 1, 3)
         else:
             continue
         problem = Problem(white, reference, sharp, middle, light, base, kind, seen_at)
