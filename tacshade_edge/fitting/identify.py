@@ -2,8 +2,8 @@
 
 From where the pins seem to be (`pins`), lengths, radii and the lattice are fitted to the white of the cells as the
 networks receive it (Levenberg and Marquardt). Pins near the rim are seen from the side, so how far a tip lies from its
-base gives the length, which statistics of the picture cannot tell from the radius of the base. The picture's blur is
-fitted as well, because a blurred pin shows less black than a sharp one: its sharpness tells it from a thinner pin.
+base gives the length, which statistics of the picture cannot distinguish from the radius of the base. The picture's
+blur is fitted as well, because a blurred pin shows less black than a sharp one, as a thinner pin does.
 """
 
 from __future__ import annotations

@@ -106,6 +106,7 @@ def logged(*words: str, journal: bool = False) -> list[str]:
         return stream.read().splitlines()
 
 
+@pytest.mark.slow
 def test_the_journal_gets_no_second_time_stamp_and_a_word_more_or_less() -> None:
     assert logged(journal=True) == ["INFO test: said", "WARNING test: said"]
     stamp = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d"

@@ -139,6 +139,7 @@ def test_points_are_those_of_the_daemon() -> None:
         tc.skin_mm(other, geometry)
 
 
+@pytest.mark.slow
 def test_it_needs_nothing_of_the_daemon() -> None:
     """Its links lead to the daemon's files, which import nothing that a client does not have."""
     code = "import sys, tacshade_client; print(sorted({name.partition('.')[0] for name in sys.modules}))"

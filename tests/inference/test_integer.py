@@ -110,6 +110,7 @@ def test_sums_are_exact_and_codes_rounded_once(name: str) -> None:
         assert np.mean(layer.codes == 255) <= 1e-3  # their range holds what a press makes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OF_DEPTH)
 def test_heights_are_those_of_float32(name: str, tmp_path: Path) -> None:
     exact, ours = float_network(name, tmp_path), load_network(name)
@@ -125,6 +126,7 @@ def heights_mm(network: Network, white: F32, sensor: F32) -> F32:
     return found
 
 
+@pytest.mark.slow
 def test_shears_are_those_of_float32(tmp_path: Path) -> None:
     exact, ours = float_shear(tmp_path), load_network("fast").shear
     assert ours is not None

@@ -67,6 +67,7 @@ def test_the_shipped_network_answers_with_height_contact_and_what_is_untrusted(n
         assert np.isfinite(values).all()
 
 
+@pytest.mark.slow
 def test_only_a_profile_that_needs_it_gets_a_network() -> None:
     frame = Frame(0, 0, 0, pressed("ball", 3.0).image)
     for name in PROFILES:
@@ -91,6 +92,7 @@ def test_a_fitted_network_runs_its_own_weights(name: str) -> None:
         load_network(name, fitted_network(name, layout="another"))
 
 
+@pytest.mark.slow
 def test_a_fitted_profile_needs_no_factor_and_keeps_its_weights_on_a_new_reference() -> None:
     frame = Frame(0, 0, 0, pressed("ball", 3.0).image)
     fitted = fitted_with("fast", calibrated())

@@ -70,6 +70,7 @@ def test_it_gives_what_the_hand_would_have_published(tmp_path: Path) -> None:
     assert made[-1].motion is None
 
 
+@pytest.mark.slow
 def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     thumb, index = record_hand(tmp_path)
     alone = record_finger(tmp_path / "alone", "sensor_id: alone\n")

@@ -167,6 +167,7 @@ def some(count: int = 60) -> tuple[list[FoundRow], list[Mapping[str, float]]]:
     return rows, known
 
 
+@pytest.mark.slow
 def test_what_is_the_same_in_other_axes_agrees_wholly() -> None:
     rows, known = some()
     for made in agreements(rows, known):

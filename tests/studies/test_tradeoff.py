@@ -54,6 +54,7 @@ def known_ball() -> KnownTruth:
     return replace(KnownTruth.of(truth), height_mm=truth.height_mm, shear_mm=shear_mm)
 
 
+@pytest.mark.slow
 def test_errors_are_in_the_units_of_the_outputs() -> None:
     result = step("fast", pressed("ball", 3.0).image)
     found = errors(result, known_ball())

@@ -43,7 +43,7 @@ BESIDE = ("lint",)
 all took 633 and 705 s on two cores, but tests that a clock hurries failed, of both stages."""
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
-    "quick": (*PYTEST, *SPREAD, "-m", QUICK),
+    "quick": (*PYTEST, *SPREAD, "-m", QUICK, "--durations=5", "--durations-min=0.5"),
     "tests": (*PYTEST, *SPREAD, "-m", ALL, "--durations=20", "--durations-min=5"),
     "guest": (sys.executable, "-m", "tools.ci.run_guest"),
 }

@@ -122,7 +122,7 @@ def _line(s: dict[str, Any]) -> str:
 def report_flange(
     frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
 ) -> None:
-    """Find flange_T_sensor and the delay, write and print them. Raises ConfigError if the presses do not tell them."""
+    """Find, write and print flange_T_sensor and the delay. Raises ConfigError if the presses do not determine them."""
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:
         expected = f"expected at least {PRESSES_MIN} presses {_PLAN}"

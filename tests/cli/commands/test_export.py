@@ -172,6 +172,7 @@ def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: 
     assert capsys.readouterr().out.endswith(" messages of 2 fingers, 1 images unreadable\n")
 
 
+@pytest.mark.slow
 def test_mcaps_of_a_hand_and_of_a_finger_have_their_names(tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     fingers = [str(path) for path in record_hand(tmp_path)]

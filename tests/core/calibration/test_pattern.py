@@ -157,6 +157,7 @@ def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them(noise_g
     assert choose_binarisation(dome, FIELD, PITCH_PX) == chosen
 
 
+@pytest.mark.slow
 def test_dense_patterns_and_what_has_no_markers_keep_the_mean_around() -> None:
     for model in (HALF, TACTIP):
         grey = to_grey(references(model, 1)[0])
@@ -165,6 +166,7 @@ def test_dense_patterns_and_what_has_no_markers_keep_the_mean_around() -> None:
     assert choose_binarisation(noise, FIELD, 9.0) == "adaptive"
 
 
+@pytest.mark.slow
 def test_a_blurred_picture_has_less_focus_and_a_dark_one_less_contrast() -> None:
     grey = to_grey(unloaded(FULL))
     pattern, disc = find_pattern(grey), simulated(FULL).model.geometry.disc
