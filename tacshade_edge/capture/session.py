@@ -19,7 +19,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder, next_number
-from tacshade_edge.storage.tables.presses import BALL, Stated, stated
+from tacshade_edge.storage.tables.presses import BALL, Stated, known_press, stated
 from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES
@@ -165,6 +165,8 @@ class Session:
             self.plan.remove(press)
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self.terminal.say(f"  {added.image}: {press}{warning}")
+        if question := self._check.question(known_press(added.image, image, press.row(), self.names)):
+            self.terminal.say(f"  {question} (undo removes the press)")
         if self.robot and press is asked and (unknown := self.robot.learn(press.columns, frame)):
             self.terminal.say(f"  cannot find the next place from the robot's poses: {unknown}")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -89,6 +89,8 @@ class PressObservation:
     seen_depth_mm: float = math.nan  # greatest height that a network sees; it locates the press far more exactly
     ball_factor: float = math.nan  # radius that fits the heights best, at any factor on them, over the stated one
     misfit_ratio: float = 1.0  # how many times worse the stated radius fits
+    # (3, N): column and row from the disc's centre in px, and height in mm, of the cells where a network sees contact
+    seen_cells: F64 = field(default_factory=lambda: np.zeros((3, 0)), compare=False)
 
     @property
     def is_seen(self) -> bool:

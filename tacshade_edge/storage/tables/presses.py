@@ -14,6 +14,7 @@ from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.tables import Rows, number, read_columns
+from tacshade_edge.types import U8
 
 BALL = "ball"
 """The indenter without an entry in INDENTERS.yaml."""
@@ -123,6 +124,15 @@ def _checked(where: str, row: Mapping[str, str], names: Collection[str]) -> dict
 
 
 def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+    try:
+        image = read_image(named_file(path.parent, row["image"]))
+    except DecodeError as error:
+        raise ConfigError(f"{where}: image: {error}") from None
+    return known_press(where, image, row, indenters)
+
+
+def known_press(where: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+    """The press of a row and its image. Raises ConfigError (``WHERE: column: found …, expected …``)."""
     values = _checked(where, row, indenters)
     indenter = indenters.get(row["indenter"], values.get("radius_mm", 0.0))
     solid = indenter if isinstance(indenter, Indenter) else None
@@ -130,13 +140,9 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
         raise ConfigError(
             f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         )
-    try:
-        image = read_image(named_file(path.parent, row["image"]))
-    except DecodeError as error:
-        raise ConfigError(f"{where}: image: {error}") from None
     # x and y already give the indenter's place in the image, so the drag does not matter.
     return KnownPress(
-        f"{where}: {row['image']}",
+        f"{where}: {row['image']}" if "image" in row else where,
         image,
         0.0 if isinstance(indenter, Indenter) else indenter,
         values["depth_mm"],

@@ -19,6 +19,7 @@ from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
 from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_rays, skin_points
+from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.reasons import Reason
@@ -27,6 +28,9 @@ from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 # Radii to try, as multiples of the stated one, which is in the middle; and the floor for a misfit.
 _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
+# Ratios of shown to stated radii are within these on ten simulated sensors of two kinds, if stated right. A larger look
+# counts only if the stated radius fits this many times worse; shallower presses (mm, nominal skin) do not show it.
+_LOOKS, _LOOKS_RATIO, _LOOKS_DEPTH_MM = (0.7, 1.7), 3.0, 0.8
 
 
 def _contact(inverse: Inverse) -> Bool:
@@ -120,12 +124,30 @@ class PressCheck:
         misfits = _misfits(inverse, geometry, along, press)
         best, stated = int(np.argmin(misfits)), misfits[len(_TRIED) // 2]
         ratio = max(stated / max(misfits[best], _LEAST_MISFIT), 1.0)
-        factor = float(_TRIED[best])
-        return replace(seen, located_x_mm=ball.x_mm, located_y_mm=ball.y_mm, ball_factor=factor, misfit_ratio=ratio)
+        grid, disc = disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry.disc
+        rows, cols = np.nonzero(_contact(inverse) & disc_rays(grid, geometry).inside)
+        x_px, y_px = grid.col0 + cols * grid.step_px - disc.col_c, grid.row0 + rows * grid.step_px - disc.row_c
+        return replace(
+            seen,
+            located_x_mm=ball.x_mm,
+            located_y_mm=ball.y_mm,
+            ball_factor=float(_TRIED[best]),
+            misfit_ratio=ratio,
+            seen_cells=np.stack((x_px, y_px, inverse.height_mm[rows, cols])).astype(np.float64),
+        )
 
     def observe(self, press: KnownPress) -> PressObservation:
         """The change in the image of a press."""
         return observe_press(self._preprocessor, self._mapper, press)
+
+    def question(self, ball: KnownPress) -> str:
+        """A question about the radius of a ball that looks much larger or smaller than stated; empty otherwise."""
+        seen = self.see(self.observe(ball), ball)
+        larger = seen.ball_factor > _LOOKS[1] and seen.misfit_ratio > _LOOKS_RATIO
+        if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (larger or seen.ball_factor < _LOOKS[0]):
+            return ""
+        asked = f"is its radius {ball.radius_mm:g} mm?" if larger else f"is {ball.radius_mm:g} mm its diameter?"
+        return f"this looks like a ball of about {seen.ball_factor * ball.radius_mm:.0f} mm: {asked}"
 
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""

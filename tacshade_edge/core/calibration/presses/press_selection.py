@@ -15,6 +15,7 @@ from tacshade_edge.core.calibration.observation import (
     with_stated_place,
 )
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.presses.sensor_check import wrong_keys
 from tacshade_edge.core.calibration.presses.table_check import (
     gross_mistakes,
     other_polarity,
@@ -227,8 +228,11 @@ def select_presses(
                 raise ConfigError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
     observations = [check.see(each, press) for each, press in zip(observations, pressed, strict=True)]
+    keys = wrong_keys(observations, geometry)
     if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
-        raise ConfigError("; ".join(mistakes))
+        # Balls seem to have another size if the skin has.
+        raise ConfigError(keys if keys and mistakes[0].startswith("PRESSES.csv: radius_mm") else "; ".join(mistakes))
+    warnings += [keys] if keys else []
     disagreeing = outliers(observations, geometry)
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
