@@ -69,6 +69,7 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, address: str, sens
     shows(page, "cursor", "x -")
     shows(page, "n-depth", "2.60")
     shows(page, "objects", "object 1")
+    assert text(page, "free") == ""
 
     Select(page.find_element(By.ID, "range")).select_by_value("10")
     assert js(page, "tacshade.scale_mm") == 10
@@ -78,6 +79,7 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, address: str, sens
 
     until_shown(page, sensor, lambda: bump(8, 0.0, row, col), 8)  # released
     assert js(page, "tacshade.drawnPeak()") == 0
+    assert text(page, "free") == "nothing touches"
     assert text(page, "objects") == ""
 
 
@@ -236,12 +238,12 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
 
         wait_until(compared, 15, "both are there")
         seen = js(page, "tacshade.compared")
-        assert seen["worst_mm"] == pytest.approx(-0.5, abs=0.01)
+        assert seen["worst_mm"] == pytest.approx(0.5, abs=0.01)  # the first is deeper
         assert (seen["row"], seen["col"]) == (ROW, COL)
         heights = [bump(0, depth_mm, ROW, COL, 4).height.height_mm for depth_mm in (2.0, 1.5)]
         assert seen["mean_mm"] == pytest.approx(np.nanmean(np.abs(heights[1] - heights[0])), rel=0.02)
-        shows(page, "compare-words", "-0.500 mm at worst, at row 236, col 300 px")
-        shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
+        shows(page, "compare-words", "+0.500 mm at worst, at row 236, col 300 px")
+        shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 +0.50")
         shows(page, "compare-numbers", "frame 7 8")
         other.publish("state", b"", retain=True)  # gone
         wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")

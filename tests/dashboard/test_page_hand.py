@@ -149,6 +149,7 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
         return found if found and abs(found[0][0] - at_mm) < 0.01 else []
 
     wait_until(lambda: drawn(None, -80.0), 20, "patches without a motion are where they are")
+    assert " mm" not in text(page, "whole-maps"), "no depth beside a map that has not arrived"
     # The body looks the same before: only its second outline shows that the page has drawn a motion.
     held = "document.querySelector('#whole-plane .grasped') !== null"
     wait_until(lambda: drawn(moved_by(0, 0), -80.0) and js(page, held), 20, "grasped")

@@ -118,11 +118,12 @@ export class Compare {
     } else this.paint(first.view.map, heights.crop, heights.fixed_mm);
     $("first-name").textContent = first.name;
     $("other-name").textContent = ["online", "degraded"].includes(other.state) ? other.name : `${other.name} (${other.state ?? "unknown"})`;
-    $("difference-name").textContent = `${other.name} less ${first.name}`;
+    this.names = this.held ? ["now", "before"] : [first.name, other.name];
+    $("difference-name").textContent = this.names.join(" less ");
     this.showNumbers(first, other);
   }
 
-  /** Draw both maps in the cells of the first, on one scale that covers the deeper one unless it is fixed, and the other less the first. */
+  /** Draw both maps in the cells of the first, on one scale that covers the deeper one unless it is fixed, and the first less the other. */
   paint(map, { top, left, rows, cols, source, clip }, fixed_mm) {
     const count = rows * cols, others = new Float32Array(count);
     const pictures = ["first", "other", "difference"].map((name) => {
@@ -144,7 +145,7 @@ export class Compare {
       cells++;
       sum_mm += Math.abs(b - a);
       if (Math.abs(b - a) > Math.abs(worst_mm)) {
-        worst_mm = b - a;
+        worst_mm = a - b;
         worst_at = source[at];
       }
     }
@@ -155,7 +156,7 @@ export class Compare {
       if (a !== a) continue;
       first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
       other.pixels[at] = PIXELS[stepOf(others[at], scale_mm)];
-      apart.pixels[at] = DIFFERENCES[stepOf(others[at] - a + end_mm, 2 * end_mm)];
+      apart.pixels[at] = DIFFERENCES[stepOf(a - others[at] + end_mm, 2 * end_mm)];
     }
     for (const { context, image } of pictures) context.putImageData(image, 0, 0);
     drawTicks($("compare-ticks"), 0, scale_mm);
@@ -168,9 +169,9 @@ export class Compare {
   showNumbers(first, other) {
     const a = contactOfMap(first.view), b = contactOfMap(this.view);
     const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
-    const rows = numbers.map(([name, key, digits]) => [name, number(a?.[key], digits), number(b?.[key], digits), a && b ? signed(b[key] - a[key], digits) : ""]);
+    const rows = numbers.map(([name, key, digits]) => [name, number(a?.[key], digits), number(b?.[key], digits), a && b ? signed(a[key] - b[key], digits) : ""]);
     rows.unshift(["profile", first.info?.profile ?? "", other.info?.profile ?? "", ""], ["frame", number(a?.seq ?? first.view.map.seq), number(b?.seq ?? this.view.map.seq), ""]);
-    $("compare-numbers").replaceChildren(table("", rows, ["", first.name, this.held ? "then" : this.sensor, "more"]) ?? "");
+    $("compare-numbers").replaceChildren(table("", rows, ["", ...this.names, "difference"]) ?? "");
   }
 }
 

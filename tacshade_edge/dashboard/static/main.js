@@ -223,7 +223,7 @@ function choose(sensor) {
   skin.clear();
   chart.clear();
   arrows = drawArrows($("arrows"), null, null);
-  $("preview").hidden = true;
+  $("preview").hidden = $("free").hidden = true;
   $("answer").textContent = "";
   $("waiting").hidden = true;
   $("sensor").hidden = false;
@@ -295,6 +295,7 @@ function draw() {
     heights.draw(map, geometry);
     skin.setSkin(map, geometry, heights.scale_mm);
     updateFlags(map.flags);
+    $("free").hidden = (map.flags & (CONTACT | INVALID)) !== 0;
     if (!(map.flags & CONTACT)) {
       updateObjects(null);
       heights.setSigma(null);
