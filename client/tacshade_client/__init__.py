@@ -9,6 +9,7 @@ from .messages import Message, decode_message, skin_mm
 from .protocol.codec import decode_object
 from .protocol.topics import (
     Contact,
+    ContactEvent,
     Finger,
     HandHealth,
     HandObject,
@@ -23,6 +24,7 @@ from .protocol.topics import (
     TouchNumbers,
     Unobservable,
     decode_contact,
+    decode_contact_event,
     decode_hand,
     decode_hand_health,
     decode_health,
@@ -41,6 +43,7 @@ __all__ = [
     "CloudMessage",
     "ConfigError",
     "Contact",
+    "ContactEvent",
     "DecodeError",
     "DeviceError",
     "Finger",
@@ -67,6 +70,7 @@ __all__ = [
     "Unobservable",
     "decode",
     "decode_contact",
+    "decode_contact_event",
     "decode_hand",
     "decode_hand_health",
     "decode_health",

@@ -48,8 +48,9 @@ def no_mark(stage: str) -> None:
 class Reconstructor:
     """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except that one with the
     untouched skin of an earlier frame gets that frame's result. `touch` is the profile's model, or the reason why it
-    cannot be used; a list collects the features of each requested touch for learning. `grid` and `rays` are those of
-    every height map.
+    cannot be used; a list collects the features of each requested touch for learning. A model may see less change than
+    the gate requires of a contact. `grid` and `rays` are those of every height map, `changed_part` is the part of the
+    picture that changed in the latest frame.
     """
 
     def __init__(
@@ -69,9 +70,12 @@ class Reconstructor:
         self._judges = Judges(grey, disc, None if network else seen.calibration.pitch_px, seen.camera_px)
         self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
         self._gate = ContactGate(seen)
-        self._gate_part = self._gate.least_part if network else self._gate.plain_part
+        self.gate_part = self._gate.least_part if network else self._gate.plain_part
         self._solver = SOLVERS[profile.solver](self._preprocessor, network)
         self._touch = touch
+        part = touch.gate_part if isinstance(touch, TouchModel) else 0.0 if isinstance(touch, list) else 1.0
+        self._touch_part = min(part, self.gate_part)
+        self.changed_part = 0.0
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
@@ -122,10 +126,13 @@ class Reconstructor:
         if reason:
             return self._empty(frame, reason=reason)
 
-        changed_part = self._gate.changed_part(preprocessed)
+        self.changed_part = changed_part = self._gate.changed_part(preprocessed)
         mark("gate")
-        if changed_part < self._gate_part:
-            self._unchanged.keep(grey, degraded)
+        # Without a change that a later request would answer.
+        quiet = not isinstance(self._touch, TouchModel | list) or changed_part < self._touch_part
+        if changed_part < (self._touch_part if Need.TOUCH in need else self.gate_part):
+            if quiet:
+                self._unchanged.keep(grey, degraded)
             return self._empty(frame, degraded=degraded)
 
         if need == Need.CONTACT and changed_part >= SURE_PART:
@@ -152,13 +159,16 @@ class Reconstructor:
         # The map without contact, 0 or NaN, adds NaN outside the disc.
         height_mm = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm)) + self._zero_mm
         contact = contact_of(depth, self.rays.inside)
-        objects = find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
+        objects = None
+        if changed_part >= self.gate_part:
+            objects = find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
             made = self._empty(frame, degraded=degraded)
             if features:  # a model of labels may know a touch that the map does not show
                 return self._with_touch(made, features, mark)
-            self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
+            if quiet:
+                self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
             return made
         if need == Need.CONTACT:
             return None
@@ -190,7 +200,7 @@ class Reconstructor:
             preprocessed = self._seen.preprocess(grey)
             drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
             made += picture.white_measured(preprocessed.unseen, drift_grey)
-            if first_reason(made) is None and self._gate.changed_part(preprocessed) >= self._gate_part:
+            if first_reason(made) is None and self._gate.changed_part(preprocessed) >= self.gate_part:
                 made += skin.map_measured(self.depth(image).untrusted_logit, self.rays.inside)
         return made
 

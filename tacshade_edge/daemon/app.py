@@ -28,7 +28,7 @@ from tacshade_edge.daemon.observer import (
 )
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.profiles import ActiveProfile, Step
-from tacshade_edge.daemon.publishing import Health, HomeAssistant, Preview, Publisher
+from tacshade_edge.daemon.publishing import ContactEvents, Health, HomeAssistant, Preview, Publisher
 from tacshade_edge.daemon.record import SOURCE_ENDED, LiveRecorder
 from tacshade_edge.daemon.references import References
 from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
@@ -112,8 +112,9 @@ class App:
         self._preview = Preview(self.link)
         # In the order in which they see a frame: sessions before publishing, since a subscriber that sees a contact may
         # begin one.
-        parts: list[FrameObserver | None] = [self._sessions, self._publisher, self._health, self._preview]
-        parts += [self._references, self._make_reporter(hand_line), robot, self._active, self._recorder]
+        parts: list[FrameObserver | None] = [self._sessions, self._publisher, ContactEvents(self.link.publish_event)]
+        parts += [self._health, self._preview, self._references, self._make_reporter(hand_line), robot]
+        parts += [self._active, self._recorder]
         self._observers: tuple[FrameObserver, ...] = tuple(part for part in parts if part is not None)
         self._pipeline = Pipeline(
             source,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -15,8 +15,9 @@ from tacshade_edge.daemon.ledger import Counts, FrameLedger, FrameOutcome, Timin
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol.codec import encode_json
 from tacshade_edge.protocol.messages import encode_status
-from tacshade_edge.protocol.topics import decode_status
+from tacshade_edge.protocol.topics import ContactEvent, decode_status
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip
@@ -25,6 +26,7 @@ from tacshade_edge.version import installed_version
 _ENTITIES: Final = {
     "depth": "sensor",
     "contact": "binary_sensor",
+    "touches": "event",
     "state": "sensor",
     "profile": "select",
     "rezero": "button",
@@ -62,6 +64,13 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
             "name": "Contact",
             "state_topic": f"{base}/contact",
             "value_template": "{{ 'ON' if value_json.contact else 'OFF' }}",
+        },
+        "touches": {
+            "name": "Touches",
+            "state_topic": f"{base}/event/contact",
+            "value_template": "{{ dict(value_json, event_type=value_json.type) | to_json }}",
+            "event_types": ["new", "update", "end"],
+            "qos": 1,
         },
         "state": {"name": "State", "state_topic": f"{base}/state", "entity_category": "diagnostic"},
         "profile": {
@@ -160,6 +169,41 @@ class Publisher(FrameObserver):
         crc32 = 0 if seen.calibration is None else seen.calibration.crc32
         pose = {"pose": seen.frame.pose, "pose_error_us": seen.frame.pose_error_us}
         self.offer(stream, encode(result, calibration_crc32=crc32, **pose), result.seq)
+
+
+BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
+UPDATE_PERIOD_NS = 1_000_000_000
+
+
+class ContactEvents(FrameObserver):
+    """Publishes ``event/contact``: each contact's begin, its greatest values so far once a second, and its end. It
+    requests nothing: values are those of frames that others need, at least one a second.
+    """
+
+    def __init__(self, publish_event: Callable[[str, bytes], None]) -> None:
+        self._publish_event = publish_event
+        self._count = self._touched_ns = self._sent_ns = 0
+        self._open: ContactEvent | None = None
+
+    def see(self, seen: FrameResult) -> None:
+        frame, result = seen.frame, seen.reconstruction
+        if result is None or result.contact:
+            self._touched_ns = frame.t_ns
+            event = self._open or ContactEvent(type="new", id=self._count + 1, t_ns=frame.t_ns, start_ns=frame.t_ns)
+            self._count = event.id
+            if result is not None:
+                event = messages.with_greatest(event, result)
+            if event.type == "new" or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
+                self._send(event, frame)
+            self._open = replace(event, type="update")
+        elif self._open is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
+            self._send(replace(self._open, type="end", end_ns=self._touched_ns), frame)
+            self._open = None
+
+    def _send(self, event: ContactEvent, frame: Frame) -> None:
+        self._sent_ns = frame.t_ns
+        event = replace(event, t_ns=frame.t_ns, wall_ns=frame.wall_ns)
+        self._publish_event("event/contact", encode_json(event))
 
 
 # This many periods without one good frame are a state, not an event.

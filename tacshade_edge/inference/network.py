@@ -232,15 +232,15 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     taken: list[F32] = []
     reconstructor = Reconstructor(calibration, profile, load_network(profile.network, *fitted), touch=taken)
     names: list[str] = []
-    left_out, known, groups, imprints = [], [], [], []
+    left_out, known, groups, imprints, parts = [], [], [], [], []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
         if made is None or len(taken) == len(names):
-            why = "the skin is at rest" if made is None or made.valid else str(made.reason)
-            left_out.append(f"{frame.name}: {why}")
+            left_out.append(f"{frame.name}: {made and made.reason}")
             continue
         names.append(frame.name)
         imprints.append(imprint_of(made.objects, made.volume_mm3) if made.contact else NO_IMPRINT)
+        parts.append(reconstructor.changed_part)
         known.append(frame.known)
         groups.append(frame.group or f"\0{len(names)}")
     labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))
@@ -253,8 +253,8 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     learnt = LearntTouch(None, ())
     if len(used):
         chosen = [QUANTITIES[q] for q in used]
-        networks = touch_networks(profile.network, *fitted)
-        learnt = learn(np.stack(taken), np.stack(imprints), chosen, labels[:, used], numbers, networks)
+        table = np.stack(taken), np.stack(imprints), np.array(parts)
+        learnt = learn(*table, chosen, labels[:, used], numbers, touch_networks(profile.network, *fitted))
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 

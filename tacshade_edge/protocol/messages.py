@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent, TouchNumbers
+from tacshade_edge.protocol.topics import Contact, ContactEvent, Info, InfoGeometry, SlipEvent, TouchNumbers
 from tacshade_edge.protocol.wire_format import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
@@ -84,6 +84,14 @@ def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
     x_mm, y_mm, _ = sliding.centroid_mm
     slip = SlipEvent(t_ns=result.t_ns, seq=result.seq, id=sliding.id, x_mm=x_mm, y_mm=y_mm, slip_mm_s=sliding.slip_mm_s)
     return encode_json(slip)
+
+
+def with_greatest(event: ContactEvent, result: Reconstruction) -> ContactEvent:
+    """The event of a contact with a further frame's values where these are greater."""
+    shear, slips = result.shear_of_contact_mm, [o.slip for o in result.objects if o.slip is not None]
+    values = {"depth_max_mm": result.depth_max_mm, "volume_mm3": result.volume_mm3, "objects": len(result.objects)}
+    values |= ({"shear_mm": math.hypot(*shear)} if shear else {}) | ({"slip": max(slips)} if slips else {})
+    return replace(event, **{name: max(getattr(event, name) or value, value) for name, value in values.items()})
 
 
 def encode_info(*, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any) -> bytes:

@@ -159,6 +159,27 @@ class SlipEvent:
     slip_mm_s: _Number | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactEvent:
+    """``event/contact``: contact `id` has begun (``new``), goes on (``update``, once a second) or has ended.
+
+    The values are the greatest since `start_ns`: of depth, volume, length of the mean shear, slip and number of
+    objects. They are None while none is known.
+    """
+
+    type: Literal["new", "update", "end"]
+    id: Count
+    t_ns: Count
+    wall_ns: Count = 0
+    start_ns: Count
+    end_ns: Count | None = None
+    depth_max_mm: _Number | None = None
+    volume_mm3: _Rate | None = None
+    shear_mm: _Rate | None = None
+    slip: _Slip | None = None
+    objects: Count | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Percentiles:
     """Percentiles of times in ms."""
@@ -410,6 +431,7 @@ OF_SENSORS: Final[dict[str, Topic]] = {
     "contact": _json(Contact, newest_wins=True),
     "touch": _json(TouchNumbers, newest_wins=True),
     "event/slip": _json(SlipEvent),
+    "event/contact": _json(ContactEvent),
     "health": _json(Health, newest_wins=True),
     "info": _json(Info),
     "map/revision": _json(StitchedMap, newest_wins=True),
@@ -439,6 +461,7 @@ decode_info = _decoder("info", Info)
 decode_contact = _decoder("contact", Contact)
 decode_touch = _decoder("touch", TouchNumbers)
 decode_slip = _decoder("event/slip", SlipEvent)
+decode_contact_event = _decoder("event/contact", ContactEvent)
 decode_health = _decoder("health", Health)
 decode_map = _decoder("map", StitchedMap)
 decode_hand = _decoder("objects", HandObjects)

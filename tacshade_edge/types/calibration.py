@@ -81,7 +81,9 @@ class FittedNetwork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchModel:
-    """A profile's touch model. D features, m components, M centres, K basis functions, Q quantities, T terms."""
+    """A profile's touch model. D features, m components, n directions, M centres, K basis functions, Q quantities, T
+    terms.
+    """
 
     names: tuple[str, ...]  # of Q quantities, from `QUANTITIES`
     networks: str  # digest of those that compute the features (`inference.network.touch_networks`)
@@ -90,10 +92,12 @@ class TouchModel:
     components: F32  # (D, m): standardised features to coordinates whose mean squares over the table add to 1
     scale: Positive  # length of a standardised feature vector whose coordinates have length 1
     spread: F32  # (m,) standard deviation of each coordinate over the table, descending
-    centres: F32  # (M, m)
+    metric: F32  # (m, n) components to the directions in which the quantities change, weighted by how much they do
+    gate_part: Annotated[float, Meta(ge=0, le=1)]  # part of the picture from whose change on the model answers
+    centres: F32  # (M, n)
     width: Positive  # of the squared-exponential kernel
-    basis: F32  # (m + M, K): kernel values to the basis functions that vary most and are uncorrelated over the table
-    weights: F32  # (m + M, Q) of the kernel values in each quantity's mean
+    basis: F32  # (n + M, K): kernel values to the basis functions that vary most and are uncorrelated over the table
+    weights: F32  # (n + M, Q) of the kernel values in each quantity's mean
     precision: F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
     ridge: F32  # (Q,) regularisation
     offset: F32  # (Q,) mean over the table
@@ -120,7 +124,7 @@ class TouchModel:
                 if sizes.setdefault(letter, size) != size:
                     raise ValueError(f"touch model: {name} is {array.shape}, which does not fit the other arrays")
         quantities = sizes["Q"]
-        if sizes["+"] != sizes["m"] + sizes["M"] or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
+        if sizes["+"] != sizes["n"] + sizes["M"] or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
             raise ValueError(f"touch model: found the sizes {sizes}, expected some that fit each other")
         positive = (self.deviation, self.spread, self.noise, self.ridge)
         if min(array.min() for array in positive) <= 0 or (self.precision < 0).any():
@@ -128,10 +132,18 @@ class TouchModel:
 
 
 _TOUCH_SHAPES = {
-    **{"mean": "D", "deviation": "D", "components": "Dm", "spread": "m", "centres": "Mm", "basis": "+K"},
+    **{
+        "mean": "D",
+        "deviation": "D",
+        "components": "Dm",
+        "spread": "m",
+        "metric": "mn",
+        "centres": "Mn",
+        "basis": "+K",
+    },
     **{"weights": "+Q", "precision": "KQ", "ridge": "Q", "offset": "Q", "noise": "Q", "low": "Q", "high": "Q"},
     **{"imprint_weights": "TI", "imprint_precision": "II"},
-}  # a letter for each size, as in `TouchModel`; + for m + M
+}  # a letter for each size, as in `TouchModel`; + for n + M
 TOUCH_ARRAYS = tuple(_TOUCH_SHAPES)
 
 

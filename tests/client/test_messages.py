@@ -40,6 +40,7 @@ SENT: dict[str, bytes] = {
     "left/contact": messages.encode_contact(PRESS, fps=60.0),
     "left/touch": messages.encode_touch(PRESS),
     "left/event/slip": messages.encode_slip(PRESS, PRESS.objects[0]),
+    "left/event/contact": encode_json({"type": "end", "id": 3, "t_ns": 9, "start_ns": 1, "end_ns": 8, "slip": None}),
     "left/info": messages.encode_info(version="1", config_digest="0", profile="fast", calibration=calibration()),
     "left/health": health(),
     "left/state": b"online",

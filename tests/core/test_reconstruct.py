@@ -305,7 +305,17 @@ def test_labels_are_learnt_from_touches_that_the_map_does_not_show() -> None:
         assert not result.contact
         assert result.touch is None
     assert len(taken) == 2
-    made.step(Frame(0, 0, 0, unloaded(HALF)))
+    assert made.changed_part > 0
+
+
+def test_labels_are_learnt_of_less_change_than_a_contact_needs() -> None:
+    taken: list[F32] = []
+    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken)
+    frame = Frame(0, 0, 0, pressed("ball", 2.0).image)
+    assert made.step(frame).contact
+    made.gate_part = made.changed_part + 0.01
+    assert not made.step(frame, need=Need.SHEAR).contact
+    assert not made.step(frame).contact
     assert len(taken) == 2
 
 

@@ -21,6 +21,7 @@ from tacshade_edge.daemon.profiles import ActiveProfile
 from tacshade_edge.daemon.publishing import (
     STATUS,
     WIDTH_PX,
+    ContactEvents,
     Health,
     HomeAssistant,
     Preview,
@@ -35,7 +36,8 @@ from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.types import Calibration, Frame, Need, Slip
+from tacshade_edge.protocol.topics import ContactEvent, decode_contact_event
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import wait_until
@@ -179,6 +181,37 @@ def test_a_slip_is_reported_once_at_its_onset(calibration: Calibration, pictures
         (4, 7, 20.0),
     ]
     assert (events[0]["x_mm"], events[0]["y_mm"]) == pytest.approx(one.centroid_mm[:2])
+
+
+def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: Any) -> None:
+    told: list[ContactEvent] = []
+    events = ContactEvents(lambda topic, payload: told.append(decode_contact_event(payload)))
+    free, touched = (
+        make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image))
+        for image in (pictures.free, pictures.touched)
+    )
+    slides = replace(touched, objects=(replace(touched.objects[0], slip=Slip.FULL, depth_max_mm=9.0),))
+
+    def see(t_ms: int, result: Reconstruction | None) -> None:
+        frame = Frame(0, t_ms * 1_000_000, 7, pictures.free)
+        events.see(FrameResult(frame, calibration, result))
+
+    for t_ms, result in (
+        *((0, free), (50, None), (100, touched), (120, free), (200, slides), (1000, touched)),
+        *((1050, None), (1200, None), (1240, free), (1300, free), (1400, free), (1500, touched)),
+    ):
+        see(t_ms, result)
+    times = [(one.type, one.id, one.t_ns, one.start_ns, one.end_ns) for one in told]
+    assert [(kind, which, *(t and t // 1_000_000 for t in ts)) for kind, which, *ts in times] == [
+        ("new", 1, 50, 50, None),
+        ("update", 1, 1050, 50, None),
+        ("end", 1, 1300, 50, 1200),
+        ("new", 2, 1500, 1500, None),
+    ]
+    assert (told[0].depth_max_mm, told[0].objects, told[0].slip, told[0].wall_ns) == (None, None, None, 7)
+    assert (told[1].depth_max_mm, told[1].slip, told[1].objects) == (told[2].depth_max_mm, 2, 1) == (9.0, 2, 1)
+    assert told[3].volume_mm3 == pytest.approx(touched.volume_mm3)
+    assert (told[3].depth_max_mm, told[3].slip) == (touched.objects[0].depth_max_mm, None)
 
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"

@@ -200,6 +200,7 @@ KINDS: dict[str, tuple[set[str], set[str]]] = {  # keys that a component needs, 
         {"value_template", "unit_of_measurement", "device_class", "state_class", "suggested_display_precision"},
     ),
     "binary_sensor": ({"state_topic", "value_template"}, set()),
+    "event": ({"state_topic", "event_types"}, {"value_template", "qos"}),
     "select": ({"command_topic", "command_template", "state_topic", "value_template", "options", "qos"}, set()),
     "button": ({"command_topic", "payload_press", "qos"}, set()),
 }

@@ -78,19 +78,23 @@ SETS = {
         SENSORS["tilted"],
     ),
 }
-LABELS = (4000, 400, 100, 40)
+LABELS = (6400, 1600, 400, 100)
 JUDGED = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """All frames of both runs: features and imprints of the usable ones, labels, and which are of the second run."""
+    """All frames of both runs: features, imprints and changed part of the usable ones, labels, and which are of the
+    second run. A model without a lower one has the gate `gate_part`.
+    """
 
     features: F32
     imprints: F32
+    changed_parts: F64
     labels: F64
     usable: Bool
     second: Bool
+    gate_part: float
 
 
 class Taker:
@@ -101,14 +105,16 @@ class Taker:
         assert chosen.network is not None
         self.features: list[F32] = []
         self.imprints: list[F32] = []
-        self._made = Reconstructor(calibration, chosen, load_network(chosen.network), touch=self.features)
+        self.changed_parts: list[float] = []
+        self.made = Reconstructor(calibration, chosen, load_network(chosen.network), touch=self.features)
 
     def take(self, image: U8) -> Reconstruction | None:
         """The frame's result; None if it is not usable."""
         before = len(self.features)
-        found = self._made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
+        found = self.made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
         if found is None or len(self.features) == before:
             return None
+        self.changed_parts.append(self.made.changed_part)
         self.imprints.append(imprint_of(found.objects, found.volume_mm3) if found.contact else NO_IMPRINT)
         return found
 
@@ -126,7 +132,9 @@ def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
     usable = np.array([taker.take(read_image(path)) is not None for path in pictures])
     features, shown = (np.zeros((len(pictures), len(one[0])), np.float32) for one in (taker.features, taker.imprints))
     features[usable], shown[usable] = taker.features, taker.imprints
-    return Frames(features, shown, known, usable, later)
+    changed_parts = np.zeros(len(pictures))
+    changed_parts[usable] = taker.changed_parts
+    return Frames(features, shown, changed_parts, known, usable, later, taker.made.gate_part)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,16 +158,20 @@ def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: i
     taught = taught[frames.usable[taught]]
     began_s = time.monotonic()
     learnt = learn(
-        frames.features[taught], frames.imprints[taught], names, frames.labels[taught], np.arange(len(taught)), "study"
+        *(frames.features[taught], frames.imprints[taught], frames.changed_parts[taught]),
+        *(names, frames.labels[taught], np.arange(len(taught)), "study"),
     )
     learning_s = time.monotonic() - began_s
     errors = np.abs(frames.labels[judged] - frames.labels[taught].mean(axis=0))
     covered = np.full(errors.shape, np.nan)
     for k, at in enumerate(judged):
-        if not frames.usable[at] or learnt.model is None:
+        model = learnt.model
+        if not frames.usable[at] or model is None:
+            continue
+        if frames.changed_parts[at] < min(model.gate_part, frames.gate_part):
             continue
         imprint = frames.imprints[at] if np.isfinite(frames.imprints[at, 0]) else None
-        touch = touch_by_model(learnt.model, frames.features[at], imprint)
+        touch = touch_by_model(model, frames.features[at], imprint)
         for q, name in enumerate(names):
             value, sigma = touch.values.get(name), touch.sigma.get(name)
             if value is not None and sigma is not None:

@@ -6,8 +6,8 @@
     .venv-train/bin/python -m tools.training.touch_outputs
 
 The file is a graph with some nodes and one output, ``features``; appended to ``NAME.integer.onnx``, it gives one graph.
-The activations are those of the second and fourth convolution, averaged over 7 x 7 places. These early activations suit
-any skin, whereas deep ones suit only the simulated skins that the networks were trained on.
+The activations are those of the fourth convolution and of the first output, averaged over 7 x 7 places. Early
+activations suit any skin, whereas those between suit only the simulated skins that the networks were trained on.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from tacshade_edge.inference.network import WEIGHTS, in_integers
 
 NAMES = ("fast", "balanced", "accurate", "shear")
 PLACES = 7
-LAYERS = (0, 2)
-"""Indices among the integer convolutions; the network's first convolution is float."""
+LAYER = 2
+"""Index among the integer convolutions; the network's first convolution is float."""
 
 
 def pooling(name: str) -> onnx.ModelProto:
@@ -31,7 +31,7 @@ def pooling(name: str) -> onnx.ModelProto:
     model = onnx.ModelProto()
     model.ParseFromString(in_integers(path, path.read_bytes()))
     convolutions = [node.output[0] for node in model.graph.node if node.op_type == "QLinearConv"]
-    taken = [convolutions[layer] for layer in LAYERS]
+    taken = [convolutions[LAYER], model.graph.output[0].name]
     sides = _sides(model, taken)
     nodes = []
     for k, (tensor, side) in enumerate(zip(taken, sides, strict=True)):

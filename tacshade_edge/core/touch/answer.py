@@ -1,8 +1,9 @@
 """Compute a frame's touch by the calibration's model, or without one from height map and shear.
 
-Principal components of the networks' pooled activations enter a Gaussian process with a linear and a
-squared-exponential kernel, reduced to few centres, so that a frame costs two small matrix products (subset of
-regressors: Rasmussen and Williams, Gaussian Processes for Machine Learning, MIT Press, 2006, section 8.3).
+Principal components of the networks' pooled activations, turned and scaled by the directions in which the quantities
+change, enter a Gaussian process with a linear and a squared-exponential kernel, reduced to few centres, so that a frame
+costs three small matrix products (subset of regressors: Rasmussen and Williams, Gaussian Processes for Machine
+Learning, MIT Press, 2006, section 8.3).
 
 Features of a ball's and a plate's imprint are alike, but their depth, area, volume and length differ: over the labelled
 table each is a quadratic function of the predicted numbers, and a frame far from it shows another object.
@@ -64,13 +65,14 @@ def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
 def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
     """Predict the quantities (Q,) of a frame and their deviations, and whether the frame is like those of the table."""
     standard = standardised(features, model.mean, model.deviation)
-    at = standard @ model.components
+    parts = standard @ model.components
+    at = parts @ model.metric
     near = kernel_values(at[None], model.centres, model.width)[0]
     mean = model.offset + near @ model.weights
     values = near @ model.basis
     spread = 1 + (values * values) @ model.precision + unreached(at[None], values[None]) / model.ridge
-    alike = leverage(at[None], model.spread)[0] <= model.leverage_max
-    alike = alike and residual(standard[None], at[None], model.scale)[0] <= model.residual_max
+    alike = leverage(parts[None], model.spread)[0] <= model.leverage_max
+    alike = alike and residual(standard[None], parts[None], model.scale)[0] <= model.residual_max
     return mean.astype(np.float64), (model.noise * np.sqrt(spread)).astype(np.float64), bool(alike)
 
 

@@ -2,6 +2,10 @@
 
 Kernel width and regularisation minimise the error on held-out groups of frames, which a linear model gives without
 another fit (Rasmussen and Williams, 2006, eq. 5.12, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
+
+Most components show nothing of the quantities. A first fit finds the directions along which its answers change, by the
+mean outer product of their gradients; the second fit sees these, each scaled by the square root of that change (one
+step of Radhakrishnan, Beaglehole, Pandit and Belkin, Science 383, 2024).
 """
 
 from __future__ import annotations
@@ -11,10 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.touch.answer import kernel_values, leverage, residual, standardised, terms, unreached
+from tacshade_edge.core.touch.answer import LINEAR, kernel_values, leverage, residual, standardised, terms, unreached
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
 COMPONENTS = 128
+DIRECTIONS = 32  # of the components, in which the quantities change
+LEAST_CHANGE = 1e-4  # added to a direction's mean squared gradient, relative to the greatest
 CENTRES = 1000
 FUNCTIONS = 350  # basis functions with an individual variance: a model takes at most 3.8 MB in a file
 WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)  # kernel widths to try, relative to the root mean square of a frame's coordinates
@@ -23,10 +29,14 @@ LEAST_ROWS = 40
 LEAST_GROUPS = 5  # least number of groups with a quantity: the prediction of a held-out press needs others
 FOLDED_ROWS = 1000  # in a larger table, held-out frames are not left out of the components
 FOLDS = 10
+FOLDS_OF_MANY = 3  # that are tried in a larger table
+GATE_QUANTILE, GATE_SHARE = 0.01, 0.8
+"""The model answers a frame that has changed by at least this share of this quantile over the table."""
 SEEN_ERRORS = 2.0  # least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`
 SEEN = 0.1
 Z_90 = 1.645
-ANOTHER = 3.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile
+ANOTHER = 3.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile,
+# and beyond `UNLIKE` times their 99.5th
 IMPRINT_RIDGE = 3.0
 LEAST_DEVIATION = 1e-3  # of an imprint's number over the table, in mm, and of held-out variance relative to the table's
 UNLIKE = 1.5  # a frame is unlike the table beyond this multiple of the 99th percentile of held-out frames
@@ -103,22 +113,24 @@ class _Solved:
         return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
 
 
-def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
-    """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, and labels (n, Q), NaN if a frame
-    has none; each quantity has at least `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a
-    group, held out together.
+_Fit = tuple[_Basis, list[_Solved]]
+
+
+def learn(
+    features: F32, imprints: F32, changed_parts: F64, names: Sequence[str], labels: F64, groups: I64, networks: str
+) -> LearntTouch:
+    """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, changed parts of the picture
+    (n,), and labels (n, Q), NaN if a frame has none; each quantity has at least `LEAST_ROWS`, in at least
+    `LEAST_GROUPS` groups. Frames of one press share a group, held out together.
     """
     space = _space(features)
-    tried = []
-    for width in WIDTHS:
-        basis = _basis(space.at, width)
-        solved = [_solve(basis, labels[:, q], groups) for q in range(len(names))]
-        errors = [np.mean(one.residuals**2) / _variance(labels[one.rows, q]) for q, one in enumerate(solved)]
-        tried.append((float(np.mean(errors)), basis, solved))
-    _, basis, solved = min(tried, key=lambda one: one[0])
-    (leverage_max, residual_max), solved = _judged(features, labels, groups, basis.width, solved)
+    first = _fitted(space.at, labels, groups)
+    metric = _metric(first, space.at, labels)
+    at = space.at @ metric
+    basis, solved = second = _fitted(at, labels, groups)
+    (leverage_max, residual_max), solved = _judged(features, labels, groups, space, first, second)
     if len(features) > FOLDED_ROWS:
-        solved = [_as_others(basis, space.at, one) for one in solved]
+        solved = [_as_others(basis, at, one) for one in solved]
     # The table's own frames are like the table.
     own = float(leverage(space.at, space.spread.astype(np.float64)).max())
     reports = tuple(_report(name, labels[:, q], solved[q]) for q, name in enumerate(names))
@@ -142,6 +154,8 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
         components=space.components,
         scale=space.scale,
         spread=space.spread,
+        metric=metric.astype(np.float32),
+        gate_part=GATE_SHARE * float(np.quantile(changed_parts, GATE_QUANTILE)),
         centres=basis.centres.astype(np.float32),
         width=basis.width,
         basis=basis.matrix[:, -FUNCTIONS:].astype(np.float32),
@@ -159,6 +173,37 @@ def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, group
         imprint_max=most,
     )
     return LearntTouch(model, reports)
+
+
+def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
+    """The fit of the kernel width with the least held-out error."""
+    tried = []
+    for width in WIDTHS:
+        basis = _basis(at, width)
+        solved = [_solve(basis, column, groups) for column in labels.T]
+        errors = [np.mean(one.residuals**2) / _variance(labels[one.rows, q]) for q, one in enumerate(solved)]
+        tried.append((float(np.mean(errors)), basis, solved))
+    _, best, found = min(tried, key=lambda one: one[0])
+    return best, found
+
+
+def _metric(fit: _Fit, at: F64, labels: F64) -> F64:
+    """The directions (m, n) of coordinates in which a fit's answers change, so that coordinates keep their length."""
+    basis, solved = fit
+    near = kernel_values(at, basis.centres, basis.width)[:, at.shape[1] :]
+    changes = np.zeros((at.shape[1], at.shape[1]))
+    for q, one in enumerate(solved):
+        weights = basis.matrix @ one.weights
+        pull = near * weights[at.shape[1] :]
+        slopes = (
+            LINEAR * weights[: at.shape[1]] + (pull @ basis.centres - pull.sum(axis=1)[:, None] * at) / basis.width**2
+        )
+        changes += slopes.T @ slopes / _variance(labels[one.rows, q])
+    power, turned = np.linalg.eigh(changes)
+    scale = (np.maximum(power, 0) / max(power[-1], 1e-300) + LEAST_CHANGE) ** 0.25
+    metric: F64 = (turned * scale)[:, : -DIRECTIONS - 1 : -1]
+    metric /= np.sqrt(((at @ metric) ** 2).sum(axis=1).mean()) or 1.0
+    return metric.astype(np.float32).astype(np.float64)
 
 
 def _variance(labels: F64) -> float:
@@ -205,8 +250,8 @@ def _basis(at: F64, width: float) -> _Basis:
     return _Basis(width, centres, matrix @ turned, values, np.maximum(powers, 0), unreached(at, values))
 
 
-def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
-    """Solve by least squares with the ridge of least held-out error."""
+def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) -> _Solved:
+    """Solve by least squares, without a ridge with that of least held-out error."""
     rows = np.flatnonzero(np.isfinite(labels))
     some = len(rows) < len(basis.values)
     values, power = basis.values[rows], basis.power
@@ -216,7 +261,10 @@ def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
     offset = float(labels[rows].mean())
     left = labels[rows] - offset
     at = values.T @ left
-    tried = [(ridge, *_held_out(values, 1 / (power + ridge), left, at, groups[rows])) for ridge in RIDGES]
+    tried = [
+        (ridge, *_held_out(values, 1 / (power + ridge), left, at, groups[rows]))
+        for ridge in (RIDGES if ridge is None else (ridge,))
+    ]
     ridge, residuals, variances = min(tried, key=lambda one: float(np.mean(one[1] ** 2)))
     weights = at / (power + ridge)
     variances = variances + basis.unreached[rows] / ridge
@@ -232,7 +280,7 @@ def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
     """Replace the variances by those that the model gives unknown frames; rows that are centres have none."""
     values = basis.values[solved.rows][:, -FUNCTIONS:]
     variances = (values * values) @ _precision(basis, solved) + unreached(at[solved.rows], values) / solved.ridge
-    variances[np.isin(solved.rows, _centre_rows(len(at)))] = np.nan
+    variances[np.isin(solved.rows, _centre_rows(len(at))) | np.isnan(solved.variances)] = np.nan
     return replace(solved, variances=variances)
 
 
@@ -274,7 +322,8 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
     covariance = off.T @ off / len(off) + LEAST_DEVIATION * np.eye(off.shape[1])
     precision = np.linalg.inv(covariance) / off.shape[1]
     distances = ((off @ precision) * off).sum(axis=1)
-    most = max(ANOTHER * float(np.quantile(distances, 0.95)), 1e-6)
+    at_95, at_995 = np.quantile(distances, (0.95, 0.995)).tolist()
+    most = max(ANOTHER * at_95, UNLIKE * at_995, 1e-6)
     return weights, precision / np.outer(deviation, deviation), most
 
 
@@ -302,43 +351,42 @@ def _coverage(scaled: F64) -> float:
 
 
 def _judged(
-    features: F32, labels: F64, groups: I64, width: float, solved: Sequence[_Solved]
+    features: F32, labels: F64, groups: I64, space: _Space, first: _Fit, second: _Fit
 ) -> tuple[tuple[float, float], list[_Solved]]:
-    """Limits of leverage and residual for frames like the table's, and `solved` with a small table's held-out values,
-    of frames held out before the components were found, because components of few frames fit these too well.
+    """Limits of leverage and residual for frames like the table's, and the second fit's held-out values, of frames held
+    out before the directions (and in a small table the components) were found, because these fit few frames too well.
     """
-    chosen = np.linspace(0, len(features) - 1, min(FOLDED_ROWS, len(features))).astype(int)
-    whole = len(chosen) == len(features)
-    fold = np.unique(groups[chosen], return_inverse=True)[1] % FOLDS
+    whole = len(features) <= FOLDED_ROWS
+    fold = np.unique(groups, return_inverse=True)[1] % FOLDS
     found: list[tuple[F64, F64]] = []
-    held_out = [(np.full(len(features), np.nan), np.full(len(features), np.nan)) for _ in solved]
-    for part in range(FOLDS):
-        held, rest = chosen[fold == part], chosen[fold != part]
-        if not len(held) or len(rest) < LEAST_ROWS // 2:
+    held_out = [np.full((2, len(features)), np.nan) for _ in second[1]]
+    for part in range(FOLDS if whole else FOLDS_OF_MANY):
+        held, rest = fold == part, fold != part
+        if not held.any() or rest.sum() < LEAST_ROWS // 2:
             continue
-        space = _space(features[rest])
-        standard = standardised(features[held], space.mean, space.deviation)
-        at = (standard @ space.components).astype(np.float64)
-        residuals = residual(standard.astype(np.float64), at, space.scale)
-        found.append((leverage(at, space.spread.astype(np.float64)), residuals))
-        if whole:
-            basis = _basis(space.at, width)
-            values = kernel_values(at, basis.centres, width) @ basis.matrix
-            for q, one in enumerate(solved):
-                if not np.isfinite(labels[rest, q]).any():
-                    continue
-                residuals, variances = _of_fold(basis, labels[rest, q], values, at, one.ridge)
-                held_out[q][0][held], held_out[q][1][held] = labels[held, q] - residuals, variances
+        known = _space(features[rest]) if whole else replace(space, at=space.at[rest])
+        standard = standardised(features[held], known.mean, known.deviation)
+        at = (standard @ known.components).astype(np.float64)
+        residuals = residual(standard.astype(np.float64), at, known.scale)
+        found.append((leverage(at, known.spread.astype(np.float64)), residuals))
+        some = [q for q in range(labels.shape[1]) if np.isfinite(labels[rest, q]).any()]
+        basis = _basis(known.at, first[0].width)
+        solved = [_solve(basis, labels[rest, q], groups[rest], first[1][q].ridge) for q in some]
+        metric = _metric((basis, solved), known.at, labels[rest][:, some])
+        basis = _basis(known.at @ metric, second[0].width)
+        values = kernel_values(at @ metric, basis.centres, basis.width) @ basis.matrix
+        for q in some:
+            held_out[q][:, held] = _of_fold(basis, labels[rest, q], values, at @ metric, second[1][q].ridge)
     most = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
-    limits = most[0], most[1]
-    if not whole:
-        return limits, list(solved)
-    folded = [
-        replace(one, residuals=residuals[one.rows], variances=variances[one.rows])
-        for one, (residuals, variances) in zip(solved, held_out, strict=True)
-    ]
-    # A fold may hold out every row with a quantity: then keep the values from `_solve`.
-    return limits, [a if np.isfinite(a.residuals).all() else b for a, b in zip(folded, solved, strict=True)]
+    judged = []
+    for q, one in enumerate(second[1]):
+        values, variances = held_out[q][:, one.rows]
+        # A fold may hold out every row with a quantity: then keep the values from `_solve`.
+        if np.isfinite(values).all() or (np.isfinite(values).any() and not whole):
+            residuals = np.where(np.isfinite(values), labels[one.rows, q] - values, one.residuals)
+            one = replace(one, residuals=residuals, variances=variances)
+        judged.append(one)
+    return (most[0], most[1]), judged
 
 
 def _of_fold(basis: _Basis, labels: F64, values: F64, at: F64, ridge: float) -> tuple[F64, F64]:

@@ -35,7 +35,7 @@ def presses(rows: int, seed: int, roundness: float) -> tuple[F32, F32, F64]:
 @pytest.fixture(scope="module")
 def ball_model() -> TouchModel:
     features, imprints, labels = presses(120, 1, 0.0)
-    found = learn(features, imprints, ("depth_mm",), labels, np.arange(120), "n").model
+    found = learn(features, imprints, np.ones(120), ("depth_mm",), labels, np.arange(120), "n").model
     assert found is not None
     return found
 
@@ -57,7 +57,7 @@ def test_an_imprint_is_of_all_that_touches_and_its_length_the_greatest_object_s(
 
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
-    found = learn(FEATURES, IMPRINTS, ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n").model
+    found = learn(FEATURES, IMPRINTS, np.ones(80), ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n").model
     assert found is not None
     return found
 

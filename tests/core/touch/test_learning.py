@@ -35,7 +35,8 @@ def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
 
 def learnt(features: F32, labels: F64, groups: I64 | None = None, names: tuple[str, ...] = NAMES) -> LearntTouch:
     imprints = np.zeros((len(features), 7), np.float32)
-    return learn(features, imprints, names, labels, np.arange(len(features)) if groups is None else groups, "n")
+    rows = np.ones(len(features))
+    return learn(features, imprints, rows, names, labels, np.arange(len(features)) if groups is None else groups, "n")
 
 
 @pytest.mark.parametrize("rows", [60, 200])

@@ -210,7 +210,7 @@ FEATURES = np.random.default_rng(0).normal(size=(60, 20)).astype(np.float32)
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
     labels = FEATURES[:, :2].astype(np.float64)
-    found = learn(FEATURES, FEATURES[:, :7], ("depth_mm", "force_z_n"), labels, np.arange(60), "ab").model
+    found = learn(FEATURES, FEATURES[:, :7], np.ones(60), ("depth_mm", "force_z_n"), labels, np.arange(60), "ab").model
     assert found is not None
     return found
 
