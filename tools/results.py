@@ -106,11 +106,12 @@ PAGES = {
     ),
     "touch": Page(
         {
-            "": "tools.studies.touch plates out/real/tactile_data_shear",
-            "Measured forces": "tools.studies.touch force out/real/tactile-manibot --profile accurate"
-            " --labels 1600 400 100",
+            "": "tools.studies.touch force out/real/tactile-manibot --profile accurate",
+            "Thresholded frames of another robot": "tools.studies.touch plates out/real/tactile_data_shear"
+            " --profile accurate --labels 4000 400 100",
         },
-        r"^(learning, s|split)$|^(Mean absolute|Published: )|^balanced \| (100|40) | \| random ",
+        r"^(Mean absolute|Published: )",
+        drawn=("touch.png",),
     ),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
     "faults": Page(

@@ -73,8 +73,7 @@ class Reconstructor:
         self.gate_part = self._gate.least_part if network else self._gate.plain_part
         self._solver = SOLVERS[profile.solver](self._preprocessor, network)
         self._touch = touch
-        part = touch.gate_part if isinstance(touch, TouchModel) else 0.0 if isinstance(touch, list) else 1.0
-        self._touch_part = min(part, self.gate_part)
+        self._touch_part = touch.gate_part if isinstance(touch, TouchModel) else 0.0 if isinstance(touch, list) else 1.0
         self.changed_part = 0.0
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
@@ -128,9 +127,9 @@ class Reconstructor:
 
         self.changed_part = changed_part = self._gate.changed_part(preprocessed)
         mark("gate")
-        # Without a change that a later request would answer.
+        # `quiet`: no request would find more in this frame.
         quiet = not isinstance(self._touch, TouchModel | list) or changed_part < self._touch_part
-        if changed_part < (self._touch_part if Need.TOUCH in need else self.gate_part):
+        if changed_part < (min(self._touch_part, self.gate_part) if Need.TOUCH in need else self.gate_part):
             if quiet:
                 self._unchanged.keep(grey, degraded)
             return self._empty(frame, degraded=degraded)

@@ -89,9 +89,14 @@ def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
 def with_greatest(event: ContactEvent, result: Reconstruction) -> ContactEvent:
     """The event of a contact with a further frame's values where these are greater."""
     shear, slips = result.shear_of_contact_mm, [o.slip for o in result.objects if o.slip is not None]
-    values = {"depth_max_mm": result.depth_max_mm, "volume_mm3": result.volume_mm3, "objects": len(result.objects)}
+    values: dict[str, Any] = {
+        "depth_max_mm": result.depth_max_mm,
+        "volume_mm3": result.volume_mm3,
+        "objects": len(result.objects),
+    }
     values |= ({"shear_mm": math.hypot(*shear)} if shear else {}) | ({"slip": max(slips)} if slips else {})
-    return replace(event, **{name: max(getattr(event, name) or value, value) for name, value in values.items()})
+    greatest = {name: max(getattr(event, name) or value, value) for name, value in values.items()}
+    return replace(event, **greatest)
 
 
 def encode_info(*, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any) -> bytes:

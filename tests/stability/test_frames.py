@@ -92,7 +92,7 @@ def test_every_extreme_frame_is_borne(profile: str, polarity: Polarity) -> None:
 def always_asked(profile: str) -> Reconstructor:
     """With a gate that opens at any change, so that every frame that passes the check reaches the solver."""
     made = make_reconstructor(calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile])
-    made._gate_part = -1.0
+    made.gate_part = -1.0
     return made
 
 

@@ -52,7 +52,7 @@ LARGE_CASES = [(479, 641, profile) for profile in PROFILES] + [(3072, 4096, "fas
 def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
     """Its gate opens at any change."""
     made = make_reconstructor(calibration, PROFILES[profile])
-    made._gate_part = -1.0
+    made.gate_part = -1.0
     return made
 
 

@@ -6,12 +6,11 @@
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
     git clone https://github.com/robot-dexterity/tactile-manibot out/real/tactile-manibot
     .venv/bin/python -m tools.studies.touch plates out/real/tactile_data_shear
-    .venv/bin/python -m tools.studies.touch force out/real/tactile-manibot
+    .venv/bin/python -m tools.studies.touch force out/real/tactile-manibot --out FOLDER
 
 `plates` is `cr_tactip` of the first set, which has no licence, `force` one sensor of the second (GPL), with measured
-forces: both stay outside the tree. Every frame counts: if the model has no answer, the labels' mean is the guess.
-`random` draws the labels from all frames and judges the others; `grouped` learns from one run of the robot and judges
-another.
+forces: both stay outside the tree. It learns from one run of the robot and judges another, of which every frame
+counts: if the model has no answer, the labels' mean is the guess. `--out` draws the first frames of 400 labels.
 """
 
 from __future__ import annotations
@@ -39,6 +38,7 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
 from tools.studies.real_frames import SENSOR, SENSORS, forced, rows_of
 
+_DRAWN = {"depth_mm": "depth, mm", "force_z_n": "Fz, N", "force_x_n": "Fx, N"}
 _POSE = {"pose_z": "depth_mm", "pose_Rx": "tilt_x_deg", "pose_Ry": "tilt_y_deg"}
 _DRAG = {"shear_x": "shear_x_mm", "shear_y": "shear_y_mm", "shear_Rz": "twist_deg"}
 
@@ -65,7 +65,7 @@ SETS = {
         "processed_images",
         _POSE | _DRAG,
         {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)},
-        ("published networks", "4002", "", "0.106", "0.32", "0.78", "1.48", "", "", ""),
+        ("published networks", "4002", "0.106", "0.32", "0.78", "1.48", "", "", ""),
     ),
     "force": RobotSet(
         "tactile_data/ur5_tacpad_1/surface_zRxy_shear",
@@ -74,12 +74,12 @@ SETS = {
         "sensor_images",
         _POSE | _DRAG | {"Fx": "force_x_n", "Fy": "force_y_n", "Fz": "force_z_n"},
         {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,), "Fx, Fy N": (6, 7), "Fz N": (8,)},
-        ("published network", "6425", "", "0.111", "1.04", "", "", "", "", "", "", ""),
+        ("published network", "6425", "0.111", "1.04", "", "", "", "", "", "", ""),
         SENSORS["tilted"],
     ),
 }
 LABELS = (6400, 1600, 400, 100)
-JUDGED = 1000
+DRAWN_LABELS, DRAWN_FRAMES = 400, 80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,22 +139,23 @@ def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """One split: mean absolute errors, what 90 % intervals hold, part without an answer, and seconds of learning."""
+    """Mean absolute errors, what 90 % intervals hold, part without an answer, and seconds of learning; the judged
+    frames' labels, answers and half intervals, NaN without an answer.
+    """
 
     errors: F64
     holds: F64
     unanswered: float
     learning_s: float
+    labels: F64
+    answers: F64
+    half_intervals: F64
 
 
-def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: int) -> Score:
-    """Learn from `count` frames and judge `JUDGED` others."""
+def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score:
+    """Learn from `count` frames of the first run and judge the second."""
     random = np.random.default_rng(seed)
-    if split == "random":
-        order = random.permutation(len(frames.labels))
-        taught, judged = order[:count], order[-JUDGED:]
-    else:
-        taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
+    taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
     taught = taught[frames.usable[taught]]
     began_s = time.monotonic()
     learnt = learn(
@@ -162,10 +163,9 @@ def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: i
         *(names, frames.labels[taught], np.arange(len(taught)), "study"),
     )
     learning_s = time.monotonic() - began_s
-    errors = np.abs(frames.labels[judged] - frames.labels[taught].mean(axis=0))
-    covered = np.full(errors.shape, np.nan)
+    labels, model = frames.labels[judged], learnt.model
+    answers, half = np.full(labels.shape, np.nan), np.full(labels.shape, np.nan)
     for k, at in enumerate(judged):
-        model = learnt.model
         if not frames.usable[at] or model is None:
             continue
         if frames.changed_parts[at] < min(model.gate_part, frames.gate_part):
@@ -175,36 +175,60 @@ def scored(frames: Frames, names: Sequence[str], split: str, count: int, seed: i
         for q, name in enumerate(names):
             value, sigma = touch.values.get(name), touch.sigma.get(name)
             if value is not None and sigma is not None:
-                errors[k, q] = abs(frames.labels[at, q] - value)
-                covered[k, q] = errors[k, q] <= 1.645 * sigma
-    holds = np.array([np.nanmean(one) if np.isfinite(one).any() else np.nan for one in covered.T])
-    return Score(errors.mean(axis=0), holds, float(np.isnan(covered[:, 0]).mean()), learning_s)
+                answers[k, q], half[k, q] = value, 1.645 * sigma
+    known = np.isfinite(answers)
+    errors = np.abs(labels - np.where(known, answers, frames.labels[taught].mean(axis=0)))
+    held = np.where(known, errors <= half, np.nan)
+    holds = np.array([np.nanmean(one) if np.isfinite(one).any() else np.nan for one in held.T])
+    return Score(errors.mean(axis=0), holds, float(1 - known[:, 0].mean()), learning_s, labels, answers, half)
 
 
-def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequence[int]) -> None:
+def draw(score: Score, names: Sequence[str], file: Path) -> None:
+    """Draw what was measured, and answered with its 90 % intervals, of the first judged frames in their order."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(3, 1, figsize=(10, 6.5), sharex=True, layout="constrained")
+    at = np.arange(DRAWN_FRAMES)
+    for axis, (name, words) in zip(axes, _DRAWN.items(), strict=True):
+        q = list(names).index(name)
+        answers, half = score.answers[: len(at), q], score.half_intervals[: len(at), q]
+        axis.errorbar(at, answers, half, fmt="none", ecolor="#8ab6e8", elinewidth=4, label="90 % interval")
+        axis.plot(at, answers, "o", color="#1f5fa8", markersize=4, label="touch model")
+        axis.plot(at, score.labels[: len(at), q], "k_", markersize=9, markeredgewidth=1.6, label="robot, force sensor")
+        axis.set_ylabel(words)
+        axis.grid(alpha=0.3)
+    axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+    axes[-1].set_xlabel("frame, in the order of the second run")
+    figure.savefig(file, dpi=110)
+
+
+def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequence[int], out: Path | None) -> None:
     """Measure, print."""
     lines, names = [robot.published], tuple(robot.columns.values())
     for profile in profiles:
         frames = seen(robot, clone, profile)
         left = int((~frames.usable).sum())
         print(f"{profile}: {left} of {len(frames.usable)} frames are not usable", file=sys.stderr)
-        for split in ("random", "grouped"):
-            for count in counts:
-                scores = [scored(frames, names, split, count, seed) for seed in range(1 if count > 400 else 4)]
-                errors = np.mean([one.errors for one in scores], axis=0)
-                holds = np.mean([one.holds for one in scores], axis=0)
-                lines.append(
-                    (
-                        profile,
-                        str(count),
-                        split,
-                        *(f"{errors[list(columns)].mean():.3f}" for columns in robot.shown.values()),
-                        f"{np.nanmin(holds):.2f} to {np.nanmax(holds):.2f}",
-                        f"{100 * np.mean([one.unanswered for one in scores]):.1f} %",
-                        f"{np.mean([one.learning_s for one in scores]):.1f}",
-                    )
+        for count in counts:
+            scores = [scored(frames, names, count, seed) for seed in range(1 if count > 400 else 4)]
+            if out and count == DRAWN_LABELS:
+                draw(scores[0], names, out / "touch.png")
+            errors = np.mean([one.errors for one in scores], axis=0)
+            holds = np.mean([one.holds for one in scores], axis=0)
+            lines.append(
+                (
+                    profile,
+                    str(count),
+                    *(f"{errors[list(columns)].mean():.3f}" for columns in robot.shown.values()),
+                    f"{np.nanmin(holds):.2f} to {np.nanmax(holds):.2f}",
+                    f"{100 * np.mean([one.unanswered for one in scores]):.1f} %",
+                    f"{np.mean([one.learning_s for one in scores]):.1f}",
                 )
-    columns = ("", "labels", "split", *robot.shown, "90 % intervals hold", "no answer", "learning, s")
+            )
+    columns = ("", "labels", *robot.shown, "90 % intervals hold", "no answer", "learning, s")
     print(markdown(columns, lines))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     print(f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB.")
@@ -219,10 +243,11 @@ def main(arguments: Iterable[str] | None = None) -> int:
         "--profile", nargs="+", choices=("fast", "balanced", "accurate"), default=("balanced", "accurate")
     )
     parser.add_argument("--labels", nargs="+", type=int, default=LABELS)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw touch.png")
     args = parser.parse_args(None if arguments is None else list(arguments))
     cv2.setNumThreads(1)
     try:
-        report(SETS[args.set], args.clone, args.profile, args.labels)
+        report(SETS[args.set], args.clone, args.profile, args.labels, args.out)
     except (ConfigError, OSError) as error:
         print(f"touch.py: {error}", file=sys.stderr)
         return 1
