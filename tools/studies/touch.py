@@ -158,10 +158,8 @@ def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score
     taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
     taught = taught[frames.usable[taught]]
     began_s = time.monotonic()
-    learnt = learn(
-        *(frames.features[taught], frames.imprints[taught], frames.changed_parts[taught]),
-        *(names, frames.labels[taught], np.arange(len(taught)), "study"),
-    )
+    table = frames.features[taught], frames.imprints[taught], frames.changed_parts[taught]
+    learnt = learn(*table, names, frames.labels[taught], np.arange(len(taught), dtype=np.int64), "study")
     learning_s = time.monotonic() - began_s
     labels, model = frames.labels[judged], learnt.model
     answers, half = np.full(labels.shape, np.nan), np.full(labels.shape, np.nan)

@@ -66,7 +66,7 @@ def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
     """Predict the quantities (Q,) of a frame and their deviations, and whether the frame is like those of the table."""
     standard = standardised(features, model.mean, model.deviation)
     parts = standard @ model.components
-    at: F32 = parts @ model.metric
+    at = (parts @ model.metric).astype(np.float32, copy=False)
     near = kernel_values(at[None], model.centres, model.width)[0]
     mean = model.offset + near @ model.weights
     values = near @ model.basis
