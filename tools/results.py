@@ -106,7 +106,7 @@ PAGES = {
     ),
     "touch": Page(
         {
-            "": "tools.studies.touch force out/real/tactile-manibot --profile accurate",
+            "": "tools.studies.touch force out/real/tactile-manibot --profile accurate --labels 6400 400 100",
             "Thresholded frames of another robot": "tools.studies.touch plates out/real/tactile_data_shear"
             " --profile accurate --labels 4000 400 100",
         },

@@ -211,7 +211,7 @@ def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequen
         left = int((~frames.usable).sum())
         print(f"{profile}: {left} of {len(frames.usable)} frames are not usable", file=sys.stderr)
         for count in counts:
-            scores = [scored(frames, names, count, seed) for seed in range(1 if count > 400 else 4)]
+            scores = [scored(frames, names, count, seed) for seed in range(1 if count > 400 else 2)]
             if out and count == DRAWN_LABELS:
                 draw(scores[0], names, out / "touch.png")
             errors = np.mean([one.errors for one in scores], axis=0)

@@ -18,11 +18,11 @@ import numpy as np
 from tacshade_edge.core.touch.answer import LINEAR, kernel_values, leverage, residual, standardised, terms, unreached
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
-COMPONENTS = 128
+COMPONENTS = 96
 DIRECTIONS = 32  # of the components, in which the quantities change
 LEAST_CHANGE = 1e-4  # added to a direction's mean squared gradient, relative to the greatest
 CENTRES = 1000
-FUNCTIONS = 350  # basis functions with an individual variance: a model takes at most 3.8 MB in a file
+FUNCTIONS = 128  # basis functions with an individual variance: a model takes at most 1.6 MB in a file
 WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)  # kernel widths to try, relative to the root mean square of a frame's coordinates
 RIDGES = np.logspace(-3, 3, 25)
 LEAST_ROWS = 40
@@ -259,10 +259,10 @@ def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) 
         power, turned = np.linalg.eigh(values.T @ values)
         power, values = np.maximum(power, 0), values @ turned
     offset = float(labels[rows].mean())
-    left = labels[rows] - offset
+    left, squares = labels[rows] - offset, values * values
     at = values.T @ left
     tried = [
-        (ridge, *_held_out(values, 1 / (power + ridge), left, at, groups[rows]))
+        (ridge, *_held_out(values, squares, 1 / (power + ridge), left, at, groups[rows]))
         for ridge in (RIDGES if ridge is None else (ridge,))
     ]
     ridge, residuals, variances = min(tried, key=lambda one: float(np.mean(one[1] ** 2)))
@@ -284,18 +284,17 @@ def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
     return replace(solved, variances=variances)
 
 
-def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
+def _held_out(values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
     """Residuals and variances of the rows, each predicted from the other groups."""
-    weighted = values * inverse
-    residuals = left - weighted @ at
-    own = (weighted * values).sum(axis=1) + 1 / len(values)
+    residuals = left - values @ (inverse * at)
+    own = squares @ inverse + 1 / len(values)
     order = np.argsort(groups, kind="stable")
     starts = np.flatnonzero(np.diff(groups[order], prepend=groups[order[0]] - 1))
     held = residuals / np.maximum(1 - own, 1e-6)
     variances = own / np.maximum(1 - own, 1e-6)
     for rows in np.split(order, starts[1:]):
         if len(rows) > 1:
-            hat = weighted[rows] @ values[rows].T + 1 / len(values)
+            hat = (values[rows] * inverse) @ values[rows].T + 1 / len(values)
             without = np.linalg.inv(np.eye(len(rows)) * (1 + 1e-6) - hat)
             held[rows] = without @ residuals[rows]
             variances[rows] = np.maximum((hat @ without).diagonal(), 0)
@@ -315,7 +314,7 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
     values, inverse = values @ turned, 1 / (np.maximum(power, 0) + IMPRINT_RIDGE)
     at = values.T @ standard
     off = np.stack(
-        [_held_out(values, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)], axis=1
+        [_held_out(values, values**2, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)], axis=1
     )
     weights = turned @ (inverse[:, None] * at) * deviation
     weights[0] += mean
