@@ -7,11 +7,12 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from lerobot.cameras.camera import Camera
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from tacshade_client import ConfigError, DeviceError, Info, Listener, listen
 
-from .colours import U8
+from .colours import F32, U8
 from .config import SIZE_PX, TacShadeCameraConfig
 from .pictures import TOPICS, Pictures
 
@@ -30,11 +31,13 @@ class TacShadeCamera(Camera):
     def __init__(self, config: TacShadeCameraConfig) -> None:
         super().__init__(config)
         self.config = config
+        self.use_depth = config.use_depth
         self._came = threading.Condition()
         self._listener: Listener | None = None
         self._thread: threading.Thread | None = None
         self._crash: Exception | None = None
         self._latest: U8 | None = None
+        self._depth_m = self._tactile = np.zeros(0, np.float32)
         self._latest_s = 0.0
         self._fresh = self._touched = False
 
@@ -125,6 +128,18 @@ class TacShadeCamera(Camera):
                 raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms}")
             return self._latest
 
+    def read_latest_depth(self, max_age_ms: int = 500) -> F32:
+        """The height map of the newest picture as LeRobot takes depth: float32 (height, width, 1) in metres, 0 outside
+        the circle. Raises like `read_latest`.
+        """
+        self.read_latest(max_age_ms)
+        return self._depth_m
+
+    def read_latest_tactile(self, max_age_ms: int = 500) -> F32:
+        """The numbers `TACTILE` of the newest picture, float32, 0 where unknown. Raises like `read_latest`."""
+        self.read_latest(max_age_ms)
+        return self._tactile
+
     def disconnect(self) -> None:
         """Disconnect from the broker. Raises DeviceNotConnectedError."""
         if not self.is_connected:
@@ -159,7 +174,9 @@ class TacShadeCamera(Camera):
         for message in listener:
             if (picture := pictures.add(message)) is not None:
                 picture.setflags(write=False)
+                depth_m = np.nan_to_num(pictures.height_mm[..., None] * np.float32(1e-3))
                 with self._came:
+                    self._depth_m, self._tactile = depth_m, pictures.tactile
                     self._latest, self._latest_s, self._fresh = picture, time.monotonic(), True
                     self._touched = bool(message.value.contact)
                     self._came.notify_all()

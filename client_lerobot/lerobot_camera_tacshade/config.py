@@ -16,7 +16,8 @@ class TacShadeCameraConfig(CameraConfig):
 
     `username`, `password_file` (its first line): for a broker that requires a login; `ca_file`: certificate of the
     authority that signed the broker's certificate, turns TLS on; `width`, `height`: of the picture in px, equal,
-    because the visible circle fills it; `fps`: LeRobot copies it, but the daemon determines the actual rate.
+    because the visible circle fills it; `fps`: LeRobot copies it, but the daemon determines the actual rate;
+    `use_depth`: robots also record the height as a depth map.
     """
 
     sensor: str
@@ -27,6 +28,7 @@ class TacShadeCameraConfig(CameraConfig):
     width: int | None = SIZE_PX
     height: int | None = SIZE_PX
     fps: int | None = 30
+    use_depth: bool = False
 
     def __post_init__(self) -> None:
         if self.width != self.height or not self.width or not 8 <= self.width <= 1024:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ from .colours import F32, U8, to_rgb
 F64 = npt.NDArray[np.float64]
 
 TOPICS: Final = ("info", "height", "shear", "contact")
+TACTILE: Final = ("contact", "x_mm", "y_mm", "depth_max_mm", "volume_mm3", "shear_x_mm", "shear_y_mm", "slip")
+"""The numbers of ``observation.tactile``, named as in the topic ``contact``; the volume is a measure of load."""
 REACH: Final = 1.02
 """Half the picture's side in radii of the visible circle, as in the daemon's own square of 112 x 112 cells."""
 
@@ -20,8 +22,12 @@ REACH: Final = 1.02
 class Pictures:
     """Combines the messages of each frame: ``contact`` comes last, and is the only one in a frame without contact.
 
-    `passed_over` counts frames with a missing or mismatched message, or that the sensor could not use.
+    `passed_over` counts frames with a missing or mismatched message, or that the sensor could not use. `height_mm` is
+    the height map (size, size) of the latest picture, NaN outside the circle, and `tactile` its `TACTILE`.
     """
+
+    height_mm: F32
+    tactile: F32
 
     def __init__(self, size_px: int) -> None:
         self._size_px = size_px
@@ -42,6 +48,8 @@ class Pictures:
             case Contact() as contact if not message.retained:
                 picture = self._picture(contact)
                 self.passed_over += picture is None
+                if picture is not None:
+                    self.tactile = np.array([getattr(contact, name) or 0.0 for name in TACTILE], np.float32)
                 return picture
         return None
 
@@ -50,7 +58,8 @@ class Pictures:
         if geometry is None or contact.reason_code:
             return None
         if not contact.contact:
-            return to_rgb(_untouched(geometry, self._size_px), None)
+            self.height_mm = _untouched(geometry, self._size_px)
+            return to_rgb(self.height_mm, None)
         height, shear = self._height, self._shear
         if height is None or height.seq != seq or height.calibration_crc32 != geometry.calibration_crc32:
             return None
@@ -60,8 +69,14 @@ class Pictures:
             if shear.shear_mm.shape[:2] != height.height_mm.shape:
                 return None
             shear_mm = shear.shear_mm[cells]
-        height_mm = np.where(np.isnan(_untouched(geometry, self._size_px)), np.float32(np.nan), height.height_mm[cells])
-        return to_rgb(height_mm, shear_mm)
+        outside = np.isnan(_untouched(geometry, self._size_px))
+        self.height_mm = np.where(outside, np.float32(np.nan), height.height_mm[cells])
+        return to_rgb(self.height_mm, shear_mm)
+
+
+def tactile_feature() -> dict[str, Any]:
+    """The feature of a LeRobot data set that holds `TACTILE`, for a key such as ``observation.tactile.left_index``."""
+    return {"dtype": "float32", "shape": (len(TACTILE),), "names": list(TACTILE)}
 
 
 def _pixels(geometry: InfoGeometry, size_px: int) -> tuple[F64, F64]:

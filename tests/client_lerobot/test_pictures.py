@@ -112,6 +112,10 @@ def test_a_press_is_where_and_as_deep_as_it_was_on_any_grid(step_px: int) -> Non
     assert height_mm[row, col] == pytest.approx(2.0, abs=0.02)
     assert shear_mm[row, col] == pytest.approx((0.5, -0.25), abs=0.02)
     assert np.isnan(height_mm[0, 0])
+    assert np.nanmax(np.abs(made.height_mm - height_mm)) <= HALF_STEP_MM
+    known = dict(zip(pictures.TACTILE, made.tactile.tolist(), strict=True))
+    assert (known["contact"], known["depth_max_mm"], known["shear_x_mm"], known["slip"]) == (1, 2.0, 0.5, 0)
+    assert pictures.tactile_feature()["shape"] == made.tactile.shape
     assert made.passed_over == 0
 
 

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Record a sensor as a LeRobot camera, open the data set with LeRobot's loader, and compare every pixel.
+"""Record a sensor as a LeRobot camera with depth and tactile numbers, open the data set with LeRobot's loader, compare
+every pixel, and run a policy on a frame.
 
 ::
 
@@ -22,7 +23,7 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.utils.import_utils import register_third_party_plugins
 
-KEY = "observation.images.touch"
+KEY, DEPTH, TACTILE = "observation.images.touch", "observation.images.touch_depth", "observation.tactile.touch"
 FPS, WAIT_S = 20, 20
 
 
@@ -35,24 +36,42 @@ def main() -> int:
     parser.add_argument("--root", type=Path, default=Path("touch"), help="a folder that is not there yet")
     args = parser.parse_args()
     register_third_party_plugins()
+    from lerobot_camera_tacshade import TACTILE as TACTILE_NAMES
+    from lerobot_camera_tacshade import tactile_feature
+
     # LeRobot's command line makes the same from --robot.cameras='{touch: {type: tacshade, ...}}'.
-    config = CameraConfig.get_choice_class("tacshade")(broker=args.broker, sensor=args.sensor)
+    config = CameraConfig.get_choice_class("tacshade")(broker=args.broker, sensor=args.sensor, use_depth=True)
     camera = make_cameras_from_configs({"touch": config})["touch"]
     shape = (camera.height, camera.width, 3)
     features = {
         KEY: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
-        "observation.state": {"dtype": "float32", "shape": (1,), "names": ["time_s"]},
+        # As LeRobot's robots declare a camera with `use_depth`.
+        DEPTH: {
+            **{"dtype": "image", "shape": (*shape[:2], 1), "names": ["height", "width", "channels"]},
+            **{"info": {"is_depth_map": True}},
+        },
+        TACTILE: tactile_feature(),
+        # Policies such as ACT take this key only: a robot appends the tactile numbers to its joints.
+        "observation.state": {
+            "dtype": "float32",
+            "shape": (len(TACTILE_NAMES) + 1,),
+            "names": ["time_s", *TACTILE_NAMES],
+        },
+        "action": {"dtype": "float32", "shape": (1,), "names": ["nothing"]},
     }
     name = f"tacshade/{args.sensor}"
     dataset = LeRobotDataset.create(name, FPS, features, root=args.root, use_videos=False)
-    seen, late = [], 0
+    seen, depths, late = [], [], 0
     camera.connect()
     began_s = time.monotonic()
     for k in range(round(args.seconds * FPS)):
         picture = camera.async_read(timeout_ms=1000 * WAIT_S)
         seen.append(picture)
-        state = np.array([k / FPS], np.float32)
-        dataset.add_frame({KEY: picture, "observation.state": state, "task": "be touched"})
+        depths.append(camera.read_latest_depth())
+        tactile = camera.read_latest_tactile()
+        numbers = {TACTILE: tactile, "observation.state": np.array([k / FPS, *tactile], np.float32)}
+        nothing = np.zeros(1, np.float32)
+        dataset.add_frame({KEY: picture, DEPTH: depths[-1], **numbers, "action": nothing, "task": "be touched"})
         left_s = began_s + (k + 1) / FPS - time.monotonic()
         late += left_s < 0
         time.sleep(max(0.0, left_s))
@@ -60,7 +79,8 @@ def main() -> int:
     camera.disconnect()
     dataset.save_episode()
     dataset.finalize()
-    print(json.dumps(compared(name, args.root, seen) | {"seconds": round(took_s, 1), "late": late}))
+    found = compared(name, args.root, seen) | more(LeRobotDataset(name, root=args.root), depths)
+    print(json.dumps(found | {"seconds": round(took_s, 1), "late": late}))
     return 0
 
 
@@ -92,6 +112,35 @@ def compared(name: str, root: Path, seen: list[np.ndarray]) -> dict[str, object]
         "greatest_shear_mm": round(shear_mm, 3),
         "frames_touched": touched,
         "bytes": sum(path.stat().st_size for path in root.rglob("*") if path.is_file()),
+    }
+
+
+def more(opened: LeRobotDataset, depths: list[np.ndarray]) -> dict[str, object]:
+    """The loaded depth maps beside the recorded ones, the tactile numbers, and the shape of a policy's action."""
+    import torch
+    from lerobot.configs.types import FeatureType
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.act.modeling_act import ACTPolicy
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    off = [np.abs(np.asarray(opened[k][DEPTH]).squeeze() - depth.squeeze()).max() for k, depth in enumerate(depths)]
+    features = dataset_to_policy_features(opened.features)
+    outputs = {key: each for key, each in features.items() if each.type is FeatureType.ACTION}
+    inputs = {key: each for key, each in features.items() if key in (KEY, "observation.state")}
+    config = ACTConfig(
+        **{"input_features": inputs, "output_features": outputs, "pretrained_backbone_weights": None},
+        **{"dim_model": 64, "chunk_size": 4, "n_action_steps": 4, "device": "cpu"},
+    )
+    names = opened.features[TACTILE]["names"]
+    policy, frame = ACTPolicy(config).eval(), opened[len(depths) // 2]
+    with torch.inference_mode():
+        action = policy.select_action({key: frame[key][None] for key in inputs})
+    return {
+        "greatest_depth_difference": float(max(off)),
+        "depth_keys": list(opened.meta.depth_keys),
+        "tactile": {name: round(float(x), 3) for name, x in zip(names, frame[TACTILE], strict=True)},
+        "policy_inputs": sorted(inputs),
+        "action": list(action.shape),
     }
 
 
