@@ -301,3 +301,21 @@ def test_numbers_have_their_intervals_and_what_is_not_known_says_why(
 def rows(page: Chrome) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = js(page, ROWS)
     return found
+
+
+def test_contacts_are_listed_newest_first(page: Chrome, address: str, sensor: PublishedSensor) -> None:
+    page.get(f"{address}#drawn")
+    base = {"t_ns": 4_000_000_000, "wall_ns": 1, "start_ns": 1_000_000_000, "end_ns": None, "depth_max_mm": 1.5}
+    ended = {"id": 1, "type": "end", "end_ns": 3_500_000_000, "slip": 2}
+    rows = "return [...document.querySelectorAll('#lived-list tr')].map((row) => row.innerText.split('\\t'))"
+
+    def listed() -> bool:
+        for more in ({"id": 1, "type": "new"}, ended, {"id": 2, "type": "update"}, {"id": "x"}):
+            sensor.publish("event/contact", codec.encode_json(base | more))
+        return len(page.execute_script(rows)) == 3
+
+    wait_until(listed, 15, "the list")
+    page.execute_script("document.getElementById('lived').open = true")
+    _, second, first = page.execute_script(rows)
+    assert (second[0], second[2], second[3]) == ("2", "3.0", "1.50")
+    assert (first[0], first[2], first[-1]) == ("1", "2.5", "slips")

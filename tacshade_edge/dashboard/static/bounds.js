@@ -65,6 +65,14 @@ export function checkInfo(info) {
 
 export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
 
+/** An `event/contact`: its times are there, and what else it has are numbers. */
+export function checkEvent(event) {
+  const { type, ...numbers } = event;
+  if (![event.id, event.t_ns, event.start_ns].every(Number.isFinite) || (type === "end" && !Number.isFinite(event.end_ns))) throw new Error("not a contact event");
+  if (!Object.values(numbers).every((value) => value === null || Number.isFinite(value))) throw new Error("not numbers");
+  return event;
+}
+
 /** A `touch`: every quantity has its standard deviation; both parts are null without contact. */
 export function checkTouch(message) {
   const { seq, touch, touch_sigma, reason = "" } = message;

@@ -1,6 +1,6 @@
 // The page: the sensors, the data of the chosen one, and when to draw it.
 
-import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
+import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
@@ -8,6 +8,7 @@ import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
 import { showHealth, showParts } from "./health.js";
 import { Link } from "./link.js";
+import { showContacts, withEvent } from "./lived.js";
 import { MapView } from "./mapview.js";
 import { drawArrows } from "./marks.js";
 import { CONTACT, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
@@ -28,7 +29,7 @@ const FULL_SLIP = 2;
 const UNLISTED = "paper"; // far slower and less exact: a study's baseline, still chosen by request
 const WHOLE = "#hand/"; // in an address, before the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
-const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];
+const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "event/contact", "health", "preview", "status/+", "res/+", "map/+"];
 const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server forwards no requests
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
@@ -62,7 +63,7 @@ link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 /** All data of the chosen sensor. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), lived: [], numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
@@ -98,6 +99,8 @@ function takeChosen(what, payload, retained) {
       rezero.heard(contact);
       schedule();
     }, checkContact);
+  } else if (what === "event/contact") {
+    json(payload, (event) => showContacts(view.lived = withEvent(view.lived, event)), checkEvent);
   } else if (what === "touch") {
     json(payload, (numbers) => {
       keep(view.touches, numbers);
@@ -231,6 +234,7 @@ function choose(sensor) {
   link.subscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
   touch.choose(sensor);
   showContact(null);
+  showContacts(view.lived);
   showParts(view.parts);
   showTabs();
   updateState();

@@ -116,14 +116,16 @@ def compared(name: str, root: Path, seen: list[np.ndarray]) -> dict[str, object]
 
 
 def more(opened: LeRobotDataset, depths: list[np.ndarray]) -> dict[str, object]:
-    """The loaded depth maps beside the recorded ones, the tactile numbers, and the shape of a policy's action."""
+    """How far loaded depth maps (in mm) are off the recorded ones (in m), a frame's numbers, and a policy's action."""
     import torch
     from lerobot.configs.types import FeatureType
     from lerobot.policies.act.configuration_act import ACTConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
-    off = [np.abs(np.asarray(opened[k][DEPTH]).squeeze() - depth.squeeze()).max() for k, depth in enumerate(depths)]
+    off = [
+        np.abs(np.asarray(opened[k][DEPTH]).squeeze() - 1e3 * depth.squeeze()).max() for k, depth in enumerate(depths)
+    ]
     features = dataset_to_policy_features(opened.features)
     outputs = {key: each for key, each in features.items() if each.type is FeatureType.ACTION}
     inputs = {key: each for key, each in features.items() if key in (KEY, "observation.state")}
@@ -132,11 +134,11 @@ def more(opened: LeRobotDataset, depths: list[np.ndarray]) -> dict[str, object]:
         **{"dim_model": 64, "chunk_size": 4, "n_action_steps": 4, "device": "cpu"},
     )
     names = opened.features[TACTILE]["names"]
-    policy, frame = ACTPolicy(config).eval(), opened[len(depths) // 2]
+    policy, frame = ACTPolicy(config).eval(), opened[int(np.argmax([depth.max() for depth in depths]))]
     with torch.inference_mode():
         action = policy.select_action({key: frame[key][None] for key in inputs})
     return {
-        "greatest_depth_difference": float(max(off)),
+        "greatest_depth_difference_mm": float(max(off)),
         "depth_keys": list(opened.meta.depth_keys),
         "tactile": {name: round(float(x), 3) for name, x in zip(names, frame[TACTILE], strict=True)},
         "policy_inputs": sorted(inputs),
