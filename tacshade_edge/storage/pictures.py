@@ -16,8 +16,8 @@ from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
-_BAR_PX = 12
-BAR_PX = LEFT_PX + _BAR_PX + RIGHT_PX
+BAR_WIDTH_PX = 12
+BAR_PX = LEFT_PX + BAR_WIDTH_PX + RIGHT_PX
 TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
 SEEN_PX = 900  # up to which `reference_picture` enlarges
 _FOUND = (0, 230, 255)
@@ -47,7 +47,7 @@ def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
     return [(value, (value - axis.first) / axis.per_px) for value in values]
 
 
-def framed(picture: U8, x: Axis | None, y: Axis) -> U8:
+def framed(picture: U8, x: Axis | None, y: Axis, title: str = "") -> U8:
     """The picture, uint8 (H, W, 3) BGR, on white with its axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
     rows, cols = picture.shape[:2]
     paper = np.full((TOP_PX + rows + BOTTOM_PX, LEFT_PX + cols + RIGHT_PX, 3), 255, np.uint8)
@@ -65,12 +65,13 @@ def framed(picture: U8, x: Axis | None, y: Axis) -> U8:
         cv2.line(paper, (LEFT_PX - 1, row), (LEFT_PX - 1 - _TICK_PX, row), _BLACK, 1)
         _write(paper, text, LEFT_PX - 3 - _TICK_PX - _width_px(text), row + 4)
     _write(paper, y.label, 4, TOP_PX - 7)
+    _write(paper, title, LEFT_PX + (cols - _width_px(title)) // 2, TOP_PX - 7)
     return paper
 
 
 def colour_bar(height_px: int, top: float, label: str) -> U8:
     """A bar of the colours from 0 to `top`, as high as a picture of `height_px` rows after `framed`."""
-    levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(_BAR_PX, axis=1)
+    levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(BAR_WIDTH_PX, axis=1)
     bar = np.asarray(cv2.applyColorMap(levels, _COLOURS), np.uint8)
     return framed(bar, None, Axis(label, top, -top / max(height_px - 1, 1)))
 
@@ -172,8 +173,8 @@ def reference_picture(
         end = 8 + round(5 * calibration.pitch_px * zoom)
         cv2.line(picture, (8, len(picture) - 8), (end, len(picture) - 8), _FOUND, 3)
         text += f"; bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, {calibration.binarisation}"
-    axes = (Axis(f"{name} (px)", 0.5 / zoom - 0.5, 1 / zoom) for name in ("col", "row"))
-    return _with_legend(framed(np.asarray(picture, np.uint8), *axes), text)
+    x, y = (Axis(f"{name} (px)", 0.5 / zoom - 0.5, 1 / zoom) for name in ("col", "row"))
+    return _with_legend(framed(np.asarray(picture, np.uint8), x, y), text)
 
 
 def height_png(height_mm: F32) -> bytes:

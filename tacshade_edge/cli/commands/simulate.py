@@ -123,11 +123,11 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
     print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
+    at = shlex.quote(str(folder))
+    print("next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):")
+    print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
     if model == SensorModel():  # the one that `source: {kind: simulated}` simulates
         (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
-        at = shlex.quote(str(folder))
-        print("next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):")
-        print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
         print(f"  tacshade-edge run --config {at}/config.yaml")
 
 
@@ -154,6 +154,11 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
         progress("images", k + 1, len(scenes))
     _write_csv(args.out / "scenes.csv", ("image", "object", *PRESS_KEYS, "depth_max_mm"), rows)
     print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
+    at = shlex.quote(str(args.out))
+    seed = "" if args.sensor_seed is None else f" --sensor-seed {args.sensor_seed}"
+    print(f"next:\n  tacshade-edge simulate --calibration-set {at}/sensor{seed}")
+    print(_calibrate(f"{at}/sensor", f" --presses {at}/sensor/PRESSES.csv"))
+    print(f"  tacshade-edge evaluate --images {at} --calibration {at}/sensor/calibration.npz")
 
 
 def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[str, float]) -> float:

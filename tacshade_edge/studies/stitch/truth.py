@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from tacshade_edge.core.stitching.stitcher import Raster, SurfaceMap
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.npz import numbers, read_arrays
+from tacshade_edge.storage.pictures import BAR_WIDTH_PX, Axis, framed
 from tacshade_edge.types import F32, F64, U8
 
 _BYTES_MAX = 64 << 20
@@ -130,41 +131,36 @@ def radius_average(points_mm: F64, step_mm: float, radius_mm: float = RADIUS_MM)
 _PANEL_PX = 600  # greatest width of a surface with fewer cells
 _ERROR_MM = 0.5
 _BEYOND_MM = 0.3  # range beyond the known heights that the colours distinguish
-_GAP_PX, _TITLE_PX = 10, 22
 _UNTOUCHED_GREY = 225
 
 
 def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
-    """The picture over the known surface, seen from above with y upwards; three panels share one colour scale."""
-    low, high = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
+    """The picture over the known surface, seen from above with y upwards and axes in mm; three panels share colours."""
+    span_mm = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
     ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
-    error = (ours - known.z_mm + _ERROR_MM) / (2 * _ERROR_MM)
+    up = np.minimum(2 * np.arange(256), 255)
+    viridis = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0]
+    blue_white_red = np.stack((up[::-1], np.minimum(up, up[::-1]), up), axis=1).astype(np.uint8)
     panels = [
-        _panel("known surface", (known.z_mm - low) / (high - low), _viridis()),
-        _panel("map", (ours - low) / (high - low), _viridis()),
-        _panel("the paper's average", (theirs - low) / (high - low), _viridis()),
-        _panel(f"map less known: blue -{_ERROR_MM:g}, red {_ERROR_MM:g} mm and more", error, _blue_white_red()),
+        _panel("known surface, z (mm)", known, known.z_mm, span_mm, viridis),
+        _panel("map, z (mm)", known, ours, span_mm, viridis),
+        _panel("the paper's average, z (mm)", known, theirs, span_mm, viridis),
+        _panel("map minus known surface (mm)", known, ours - known.z_mm, (-_ERROR_MM, _ERROR_MM), blue_white_red),
     ]
-    panels = [cv2.copyMakeBorder(p, 0, _GAP_PX, 0, _GAP_PX, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for p in panels]
     return cv2.imencode(".png", np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:]))))[1].tobytes()
 
 
-def _viridis() -> U8:
-    return np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS), np.uint8)
-
-
-def _blue_white_red() -> U8:
-    up = np.minimum(2 * np.arange(256), 255)
-    return np.stack((up[::-1], np.minimum(up, up[::-1]), up), axis=1).astype(np.uint8)[:, None]
-
-
-def _panel(title: str, part: F32, colours: U8) -> U8:
-    """A panel of values from 0 to 1 in colours, under a title; grey where there are none."""
-    level = np.nan_to_num(np.clip(part, 0, 1) * 255).astype(np.uint8)
-    picture = colours[:, 0][level]
-    picture[~np.isfinite(part)] = _UNTOUCHED_GREY
-    zoom = max(1, _PANEL_PX // picture.shape[1])
+def _panel(title: str, grid: Raster, z_mm: F32, span: tuple[float, float], colours: U8) -> U8:
+    """Values on the cells of `grid` in colours, grey where there are none, beside the bar of their span."""
+    zoom = max(1, _PANEL_PX // z_mm.shape[1])
+    level = np.nan_to_num(np.clip((z_mm - span[0]) / (span[1] - span[0]), 0, 1) * 255).astype(np.uint8)
+    picture = colours[level]
+    picture[~np.isfinite(z_mm)] = _UNTOUCHED_GREY
     picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
-    head = np.full((_TITLE_PX, picture.shape[1], 3), 255, np.uint8)
-    cv2.putText(head, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.vstack((head, picture))
+    per_px, (rows, _) = grid.step_mm / zoom, picture.shape[:2]
+    half = (grid.step_mm - per_px) / 2
+    x = Axis("x (mm)", grid.x0_mm - half, per_px)
+    y = Axis("y (mm)", grid.y0_mm - half + (rows - 1) * per_px, -per_px)
+    bar = colours[np.linspace(255, 0, rows).astype(np.uint8)][:, None].repeat(BAR_WIDTH_PX, axis=1)
+    scale = framed(bar, None, Axis("", span[1], -(span[1] - span[0]) / (rows - 1)))
+    return np.hstack((framed(picture, x, y, title), scale))

@@ -34,6 +34,7 @@ _PLACE_FACTORS = (0.6, 1.4)
 _LEAST_REACH_RADII = 0.1
 # Without places: if twice the skin's radius is stated, balls look three or more times as large, and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
+_SKIN_MISTAKES = {"a diameter": 2.0, "half of the radius": 0.5, "in cm": 0.1}
 # Suggest other axes if they leave less than this part of an error of at least this many mm on the nominal skin.
 _AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
 _AXES_LEAST_PRESSES = 4
@@ -101,10 +102,10 @@ def size_mistake(depth: float, ball: float, observations: Sequence[PressObservat
         skin = math.sqrt(ball * depth)
     if math.isfinite(skin):
         radius_mm = geometry.skin_radius_mm
-        asked = "a diameter" if skin > 1 else "half of the radius"
+        asked = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
         return (
             f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, but with it the images show presses about {skin:.1f} "
-            f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
+            f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
         )
     if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
         asked = "are they diameters?" if ball < 1 else "are they halved?"

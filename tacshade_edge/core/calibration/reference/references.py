@@ -158,9 +158,9 @@ def check_references(
     loads = [reference_load_reason(preprocessor)]
     changed = [gate.changed_part(preprocessor.preprocess(grey)) for grey in greys]
     if pressed := [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]:
-        loads.append(
-            f"the skin seems pressed in reference {', '.join(pressed)}, compared with the mean of all references"
-        )
+        others = f" and {len(pressed) - 3} more" if len(pressed) > 3 else ""
+        names = f"{', '.join(pressed[:3])}{others}"
+        loads.append(f"the skin seems pressed in reference {names}, compared with the mean of all references")
     if any(loads) and not allow_loaded:
         advice = "take the references again without contact, or pass --allow-loaded-reference"
         raise ConfigError(f"{next(filter(None, loads))}; {advice}")
