@@ -96,8 +96,8 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN: a
-    centre).
+    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN if
+    the row was not left out of the directions).
     """
 
     rows: I64
@@ -129,8 +129,6 @@ def learn(
     at = space.at @ metric
     basis, solved = second = _fitted(at, labels, groups)
     (leverage_max, residual_max), solved = _judged(features, labels, groups, space, first, second)
-    if len(features) > FOLDED_ROWS:
-        solved = [_as_others(basis, at, one) for one in solved]
     # The table's own frames are like the table.
     own = float(leverage(space.at, space.spread.astype(np.float64)).max())
     reports = tuple(_report(name, labels[:, q], solved[q]) for q, name in enumerate(names))
@@ -160,7 +158,7 @@ def learn(
         width=basis.width,
         basis=basis.matrix[:, -FUNCTIONS:].astype(np.float32),
         weights=np.stack([basis.matrix @ one.weights for one in chosen], axis=1).astype(np.float32),
-        precision=np.stack([_precision(basis, one) for one in chosen], axis=1).astype(np.float32),
+        precision=np.stack([_precision(basis, len(one.rows), one.ridge) for one in chosen], axis=1).astype(np.float32),
         ridge=np.array([one.ridge for one in chosen], np.float32),
         offset=np.array([one.offset for one in chosen], np.float32),
         noise=np.array([one.noise for one in chosen], np.float32),
@@ -231,12 +229,8 @@ def _space(features: F32) -> _Space:
     return _Space(mean, deviation, components, scale, (standard @ components).astype(np.float64))
 
 
-def _centre_rows(rows: int) -> I64:
-    return np.linspace(0, rows - 1, min(CENTRES, rows)).astype(np.int64)
-
-
 def _basis(at: F64, width: float) -> _Basis:
-    centres = at[_centre_rows(len(at))]
+    centres = at[np.linspace(0, len(at) - 1, min(CENTRES, len(at))).astype(np.int64)]
     parts = at.shape[1]
     power, turned = np.linalg.eigh(kernel_values(centres, centres, width)[:, parts:])
     keep = power > 1e-6 * power[-1]
@@ -271,17 +265,9 @@ def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) 
     return _Solved(rows, float(ridge), offset, turned @ weights if some else weights, residuals, variances)
 
 
-def _precision(basis: _Basis, solved: _Solved) -> F64:
+def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
     """Variance of the weight of each of the basis functions that vary most, relative to the noise."""
-    return np.asarray(1 / (basis.power[-FUNCTIONS:] * (len(solved.rows) / len(basis.values)) + solved.ridge))
-
-
-def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
-    """Replace the variances by those that the model gives unknown frames; rows that are centres have none."""
-    values = basis.values[solved.rows][:, -FUNCTIONS:]
-    variances = (values * values) @ _precision(basis, solved) + unreached(at[solved.rows], values) / solved.ridge
-    variances[np.isin(solved.rows, _centre_rows(len(at))) | np.isnan(solved.variances)] = np.nan
-    return replace(solved, variances=variances)
+    return np.asarray(1 / (basis.power[-FUNCTIONS:] * (rows / len(basis.values)) + ridge))
 
 
 def _held_out(values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
@@ -328,13 +314,14 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
 
 def _report(name: str, labels: F64, solved: _Solved) -> QuantityReport:
     residuals, known = np.abs(solved.residuals), labels[solved.rows]
-    r2 = 1 - float(np.mean(residuals**2)) / _variance(known)
+    held = residuals[np.isfinite(solved.variances)]
+    r2 = 1 - float(np.mean(held**2)) / _variance(known)
     seen = r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
     contradicts = residuals > CONTRADICTS * 1.4826 * float(np.median(residuals))
     return QuantityReport(
         name=name,
         rows=len(solved.rows),
-        error=float(residuals.mean()),
+        error=float(held.mean()),
         r2=r2,
         coverage_90=_coverage(residuals / np.sqrt(1 + solved.variances)),
         seen=seen,
@@ -395,5 +382,6 @@ def _of_fold(basis: _Basis, labels: F64, values: F64, at: F64, ridge: float) -> 
     inverse = np.linalg.inv(rows.T @ rows + ridge * np.eye(rows.shape[1]))
     offset = labels[some].mean()
     weights = inverse @ (rows.T @ (labels[some] - offset))
-    variances = ((values @ inverse) * values).sum(axis=1) + unreached(at, values) / ridge
+    few = values[:, -FUNCTIONS:]  # as `predict` knows them
+    variances = (few * few) @ _precision(basis, len(rows), ridge) + unreached(at, few) / ridge
     return offset + values @ weights, variances
