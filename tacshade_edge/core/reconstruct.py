@@ -78,6 +78,7 @@ class Reconstructor:
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
+        self._zero_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2)
         self._sigma = None if network is None else network.sigma
         self._nothing = Reconstruction(
             seq=0,
@@ -91,7 +92,7 @@ class Reconstructor:
             degraded=None,
             height=self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool)),
             cloud=ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)),
-            shear_mm=np.repeat(self._zero_mm[..., None], 2, axis=2) if network is not None else None,
+            shear_mm=self._zero_shear_mm if network is not None else None,
             sigma_mm=None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32),
         )
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
@@ -152,7 +153,7 @@ class Reconstructor:
         if Need.SHEAR in need:
             shear_mm = self._solver.shear_mm(preprocessed, features)
             if shear_mm is not None:
-                shear_mm += self._zero_mm[..., None]
+                shear_mm += self._zero_shear_mm
             mark("shear")
 
         # The map without contact, 0 or NaN, adds NaN outside the disc.
@@ -228,7 +229,8 @@ class Reconstructor:
         x = terms(height_mm, depth.contact_logit, depth.untrusted_logit, contact, calibration.geometry)
         scale = calibration.error_scale(self.profile.name) or self._sigma.scale_without_presses
         made: F32 = np.full(contact.shape, np.nan, np.float32)
-        made[contact] = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
+        sigma_mm = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
+        made.put(np.flatnonzero(contact), sigma_mm)
         return made
 
     def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:

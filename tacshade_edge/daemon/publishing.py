@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -107,7 +107,7 @@ class Publisher(FrameObserver):
     is left with outdated values. With `always_shear` it requests shear even without a listener.
     """
 
-    offer: Callable[[str, bytes, int], None]
+    offer: Callable[[Mapping[str, bytes], int], None]
     publish_event: Callable[[str, bytes], None]
     settle: Callable[[int, FrameOutcome], None]
     has_listener: Callable[[str], bool] = lambda stream: True
@@ -137,21 +137,23 @@ class Publisher(FrameObserver):
             return
         changed = result.contact != self._contact
         self._contact = result.contact
-        height_goes = changed or (result.contact and self.has_listener("height"))
-        if height_goes:
-            self._send("height", wire.encode_height, result, seen)
+        payloads: dict[str, bytes] = {}
+        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
+        taken = wire.Taken(calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us)
+        if changed or (result.contact and self.has_listener("height")):
+            payloads["height"] = wire.encode_height(result, **taken)
         if result.contact and (changed or self.has_listener("cloud")):
-            self._send("cloud", wire.encode_cloud, result, seen)
+            payloads["cloud"] = wire.encode_cloud(result, **taken)
         for stream, encode, grid in (
             ("shear", wire.encode_shear, result.shear_mm),
             ("sigma", wire.encode_sigma, result.sigma_mm),
         ):
             if grid is not None and (result.contact or changed) and self.has_listener(stream):
-                self._send(stream, encode, result, seen)
+                payloads[stream] = encode(result, **taken)
         touch_ended = result.touch is None and not result.contact and (changed or self._touched)
         self._touched = result.touch is not None
         if (self._touched or touch_ended) and self.has_listener("touch"):
-            self.offer("touch", messages.encode_touch(result), result.seq)
+            payloads["touch"] = messages.encode_touch(result)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
@@ -160,15 +162,12 @@ class Publisher(FrameObserver):
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
         if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
-            self.offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
-        if not height_goes:
+            payloads["contact"] = messages.encode_contact(result, fps=self.fps)
+        if "height" not in payloads:
             without: FrameOutcome = "without_contact" if result.valid else "invalid"
             self.settle(result.seq, "unasked" if result.contact else without)
-
-    def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
-        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
-        pose = {"pose": seen.frame.pose, "pose_error_us": seen.frame.pose_error_us}
-        self.offer(stream, encode(result, calibration_crc32=crc32, **pose), result.seq)
+        if payloads:
+            self.offer(payloads, result.seq)
 
 
 BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
@@ -296,7 +295,7 @@ class Preview(FrameObserver):
         self._published = frame
         size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
         _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA))
-        self._link.offer("preview", jpeg.tobytes(), frame.seq)
+        self._link.offer({"preview": jpeg.tobytes()}, frame.seq)
 
 
 STATUS = "status/home_assistant"

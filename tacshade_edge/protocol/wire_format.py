@@ -27,9 +27,9 @@ PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
 _PX_MAX, _MM_MAX = 1e5, 1e7
 _STEP_PX_LEAST: Final = 1e-6
 _UNIT_OFF_MAX: Final = 1e-2
-_SCALE_MM: Final = 0.001
-_STEPS_MAX: Final = 32767
-_SIDE_MAX: Final = 0xFFFF
+SCALE_MM: Final = 0.001
+STEPS_MAX: Final = 32767
+SIDE_MAX: Final = 0xFFFF
 _U32: Final = 0xFFFFFFFF
 
 _MAGIC: Final = b"TCSH"
@@ -111,7 +111,7 @@ class SigmaMessage(_GridMessage):
 
 
 Message = HeightMessage | CloudMessage | ShearMessage | SigmaMessage
-_CLOUD: Final = 2
+CLOUD: Final = 2
 _GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage], str, int]]] = {
     1: (HeightMessage, "height_mm", 1),
     3: (ShearMessage, "shear_mm", 2),
@@ -120,41 +120,23 @@ _GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage],
 """The kinds with a value per cell: the message, its array, and the number of values per cell."""
 
 
-def encode(message: Message) -> bytes:
-    """Encode a payload; `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
-
-    Values of a grid are rounded to the nearest 0.001 mm and clamped to ±32.767 mm, infinities too; NaN becomes -32768.
-    Raises ValueError for a grid of more than 65535 rows or columns.
+def pack(kind: int, shape: tuple[int, int], grid: tuple[float, float, float], data: bytes, **fields: Any) -> bytes:
+    """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud), data, and the fields
+    of every kind; `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
     """
-    grid = (0.0, 0.0, 0.0)
-    if isinstance(message, CloudMessage):
-        kind, n = _CLOUD, len(message.labels)
-        rows, cols = n & _SIDE_MAX, n >> 16
-        data = message.points_mm.astype("<f4", copy=False).tobytes()
-        data += message.labels.astype("<u2", copy=False).tobytes()
-    else:
-        kind, name = next((kind, name) for kind, (made, name, _) in _GRIDS.items() if isinstance(message, made))
-        values_mm: F32 = getattr(message, name)
-        rows, cols = values_mm.shape[:2]
-        if max(rows, cols) > _SIDE_MAX:
-            raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
-        limit_mm = np.float32(_STEPS_MAX * _SCALE_MM)
-        steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the multiplication, which could overflow
-        np.multiply(steps, np.float32(1.0 / _SCALE_MM), out=steps)
-        np.rint(steps, out=steps)
-        np.fmax(steps, np.float32(OUTSIDE), out=steps)  # fmax replaces NaN
-        grid, data = (message.row0, message.col0, message.step_px), steps.astype("<i2").tobytes()
-    pose = message.pose
-    flags = sum(getattr(message, name) << bit for bit, name in enumerate(_FLAGS)) | _POSE * (pose is not None)
+    pose: Pose | None = fields["pose"]
+    flags = _POSE * (pose is not None)
+    for bit, name in enumerate(_FLAGS):
+        flags |= fields[name] << bit
     head = HEAD.pack(
         *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
-        *(message.seq & _U32, message.calibration_crc32 & _U32, message.t_ns, message.wall_ns),
-        *(rows, cols, *grid, _SCALE_MM),
-        0 if pose is None else min(message.pose_error_us, _U32),
+        *(fields["seq"] & _U32, fields["calibration_crc32"] & _U32, fields["t_ns"], fields["wall_ns"]),
+        *(*shape, *grid, SCALE_MM),
+        0 if pose is None else min(fields["pose_error_us"], _U32),
         *((0.0,) * 7 if pose is None else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)),
         len(data),
     )
-    return head + _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0) + data
+    return b"".join((head, _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0), data))
 
 
 def decode(data: bytes | bytearray | memoryview) -> Message:
@@ -168,7 +150,7 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
     fields = HEAD.unpack_from(data)
     flags, seq, calibration, t_ns, wall_ns = fields[4:9]
     row0, col0, step_px, scale_mm, error_us = fields[11:16]
-    if kind != _CLOUD:
+    if kind != CLOUD:
         _check_grid(rows, cols, row0, col0, step_px, scale_mm)
     pose = None
     if flags & _POSE:
@@ -179,7 +161,7 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
         **{name: bool(flags >> bit & 1) for bit, name in enumerate(_FLAGS)},
         **{"pose": pose, "pose_error_us": error_us if pose else 0},
     }
-    if kind == _CLOUD:
+    if kind == CLOUD:
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
@@ -206,15 +188,15 @@ def _check(data: bytes) -> tuple[int, int, int]:
     for offset, name, found, expected in (
         ("0", "magic", magic, (_MAGIC,)),
         ("4", "wire version", version, (WIRE_VERSION,)),
-        ("5", "kind", kind, sorted((_CLOUD, *_GRIDS))),
+        ("5", "kind", kind, sorted((CLOUD, *_GRIDS))),
         ("6", "codec", codec, (_RAW,)),
     ):
         if found not in expected:
             _refuse(offset, f"{name} {found}", " or ".join(map(str, expected)))
-    cells = rows | cols << 16 if kind == _CLOUD else rows * cols
+    cells = rows | cols << 16 if kind == CLOUD else rows * cols
     if cells > CELLS_MAX:
         _refuse("32", f"{cells} cells or points", f"at most {CELLS_MAX}")
-    needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == _CLOUD else 2 * _GRIDS[kind][2])
+    needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == CLOUD else 2 * _GRIDS[kind][2])
     if stated != needed:
         _refuse("84", f"{stated} payload bytes", f"{needed}")
     if len(data) != HEADER_BYTES + stated:

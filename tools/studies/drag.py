@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.contact.objects import about_mean, rigid_motions
+from tacshade_edge.core.contact.objects import rigid_motion, spreads
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame, Truth
@@ -123,10 +123,10 @@ def _true_motion(frame: SimulatedFrame, truth: Truth) -> tuple[float, float, flo
     rows, cols = np.nonzero(truth.contact)
     some = slice(None, None, -(-len(rows) // _TRUE_POINTS))
     shear = frame.shear_mm(rows[some].astype(float), cols[some].astype(float)).T
-    one, count = np.array([0]), np.array([shear.shape[1]])
-    points = about_mean(truth.points_mm[some, :2].T, one, count)[1]
-    (shear_mm,), (twist_deg,), _ = rigid_motions(points, np.asarray(shear, np.float32), one, count)
-    return (*shear_mm, math.nan if twist_deg is None else twist_deg)
+    count = shear.shape[1]
+    (mean,), (spread,) = spreads(np.concatenate((truth.points_mm[some].T, shear), dtype=np.float64), [count])
+    twist_deg, _ = rigid_motion(spread, count)
+    return (mean[3], mean[4], math.nan if twist_deg is None else twist_deg)
 
 
 def _found_motion(result: Reconstruction) -> tuple[float, float, float]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from itertools import pairwise
+from operator import add
 
 import cv2
 import numpy as np
@@ -20,44 +22,46 @@ LABELS_MAX = np.iinfo(np.uint16).max
 Box = tuple[slice, slice]
 
 
-def about_mean(values: F32, starts: I64, counts: I64) -> tuple[F64, F64]:
-    """The mean of each object's values (dimensions, N), and the values less the mean; float64."""
-    means: F64 = np.add.reduceat(values, starts, axis=1, dtype=np.float64) / counts
-    return means, np.subtract(values, np.repeat(means, counts, axis=1), dtype=np.float64)
+Spread = Sequence[Sequence[float]]
 
 
-def normals(about_mean_mm: F64, starts: I64) -> F64:
-    """Unit normals (objects, 3) of the planes through each object's points (3, N) less their mean, away from the
-    camera; no object is empty.
+def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[Spread]]:
+    """The mean of each object's values (dimensions, N), which end at `ends`, and the sums of the products of any two
+    dimensions less their means; no object is empty.
     """
-    covariance = np.stack([points @ points.T for points in np.split(about_mean_mm, starts[1:], axis=1)])
-    least: F64 = np.linalg.eigh(covariance)[1][:, :, 0]
-    return least * np.where(least[:, 2:] < 0, -1.0, 1.0)
-
-
-def rigid_motions(
-    about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64
-) -> tuple[list[tuple[float, float]], list[float | None], list[float]]:
-    """Mean shear of each object's contact; angle in degrees about z, from x towards y, of the least-squares rotation
-    about the mean (None below `TWIST_CELLS`); RMS in mm of the motion beyond both. Takes x and y (2, N) less their
-    mean, and shear.
-    """
-    now = about_mean_mm
-    shear, moved = about_mean(shear_mm, starts, counts)
-    before = now - moved
-    # Umeyama 1991, in the plane: the first two are proportional to the cosine and sine of the angle.
-    along, across, squares = (
-        np.add.reduceat(values, starts)
-        for values in (
-            before[0] * now[0] + before[1] * now[1],
-            before[0] * now[1] - before[1] * now[0],
-            np.sum(before**2 + now**2, axis=0),
+    first = values[:, :1].copy()  # near all others, so that nothing cancels
+    rows = np.empty((len(values) + 1, values.shape[1]))
+    np.subtract(values, first, out=rows[:-1])
+    rows[-1] = 1
+    origin, means, made = first[:, 0].tolist(), [], []
+    for start, end in pairwise((0, *ends)):
+        part = rows[:, start:end]
+        *products, (*totals, count) = (part @ part.T).tolist()
+        mean = [total / count for total in totals]
+        means.append(list(map(add, origin, mean)))
+        made.append(
+            [[p - m * t for p, t in zip(row, totals, strict=False)] for row, m in zip(products, mean, strict=True)]
         )
-    )
-    strain = np.sqrt(np.maximum(squares - 2 * np.hypot(along, across), 0) / counts)
-    twist = np.degrees(np.arctan2(across, along)).tolist()
-    known = [angle if count >= TWIST_CELLS else None for angle, count in zip(twist, counts.tolist(), strict=True)]
-    return [(x, y) for x, y in shear.T.tolist()], known, strain.tolist()
+    return means, made
+
+
+def normals(spread: Sequence[Spread]) -> list[list[float]]:
+    """Unit normals of planes through points, from their spreads, which begin with x, y, z; away from the camera."""
+    least = np.linalg.eigh(np.array([[row[:3] for row in each[:3]] for each in spread]))[1][:, :, 0]
+    normal: list[list[float]] = (least * np.where(least[:, 2:] < 0, -1.0, 1.0)).tolist()
+    return normal
+
+
+def rigid_motion(spread: Spread, count: int) -> tuple[float | None, float]:
+    """Angle in degrees about z, from x towards y, of the least-squares rotation of a contact about its mean (None below
+    `TWIST_CELLS`); RMS in mm of its motion beyond that and the mean shear. Takes the spread of x, y, z and shear x, y.
+    """
+    (xx, _, _, x_sx, x_sy), (_, yy, _, y_sx, y_sy), _, (*_, sx_sx, _), (*_, sy_sy) = spread
+    # Umeyama 1991, in the plane, of places before (less shear) and now: proportional to cosine and sine of the angle.
+    along, across = xx + yy - x_sx - y_sy, x_sy - y_sx
+    rest = 2 * along + sx_sx + sy_sy - 2 * math.hypot(along, across)
+    twist = math.degrees(math.atan2(across, along)) if count >= TWIST_CELLS else None
+    return twist, math.sqrt(max(rest, 0.0) / count)
 
 
 @frozen
@@ -171,21 +175,21 @@ def _described(
     """The labelled contacts, from points (3, N), their labels in order and without gaps, and height, area of skin and
     shear (2, N) there.
     """
-    numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
-    ends = labels.searchsorted(numbers, side="right")
-    starts = np.zeros_like(ends)
-    starts[1:] = ends[:-1]
-    counts = ends - starts
-    middles, points = about_mean(x_y_z, starts, counts)
+    ends = np.bincount(labels).cumsum()
+    starts = ends[:-1]
+    means, spread = spreads(
+        np.concatenate((x_y_z, *([] if shear_mm is None else [shear_mm])), dtype=np.float64), ends[1:].tolist()
+    )
     highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
-    extents = highest.astype(np.float64) - lowest
-    depths = np.maximum.reduceat(height_mm, starts)
-    areas = np.add.reduceat(cell_area, starts, dtype=np.float64)
-    parts: list[Sequence[Any]] = [
-        *(list(zip(*values.tolist(), strict=True)) for values in (middles, extents)),
-        *(values.tolist() for values in (depths, areas)),
-        list(zip(*normals(points, starts).T.tolist(), strict=True)),
-    ]
-    if shear_mm is not None:
-        parts += rigid_motions(points[:2], shear_mm, starts, counts)
-    return tuple(TouchedObject(label, *values) for label, values in enumerate(zip(*parts, strict=True), start=1))
+    columns = (
+        (highest.astype(np.float64) - lowest).T.tolist(),
+        np.maximum.reduceat(height_mm, starts).tolist(),
+        np.add.reduceat(cell_area, starts, dtype=np.float64).tolist(),
+        normals(spread),
+    )
+    made = []
+    for label, (extent, depth, area, normal) in enumerate(zip(*columns, strict=True)):
+        x, y, z, *shear = means[label]
+        moved = (tuple(shear), *rigid_motion(spread[label], int(ends[label + 1] - ends[label]))) if shear else ()
+        made.append(TouchedObject(label + 1, (x, y, z), tuple(extent), depth, area, tuple(normal), *moved))
+    return tuple(made)

@@ -13,11 +13,11 @@ borne without a slide shows a higher limit, if it was borne for a while or went 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-
-import numpy as np
+from operator import mul
 
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
@@ -148,7 +148,7 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
     """Variance along an axis from the last second difference, in which uniform motion cancels."""
     if len(seen) < LEAST_FRAMES:
         return known_mm2
-    a, b, c = (frame[1:3] for frame in list(seen)[-LEAST_FRAMES:])
+    a, b, c = (seen[at][1:3] for at in range(-LEAST_FRAMES, 0))
     return sum((p - 2 * q + r) ** 2 for p, q, r in zip(a, b, c, strict=True)) / 12
 
 
@@ -159,21 +159,22 @@ def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tupl
     if len(seen) < LEAST_FRAMES:
         return False, None
     size = math.hypot(*shear_mm)
-    way = np.array(shear_mm) / size if size >= LEAST_SHEAR_MM else np.zeros(2)
-    t_ns, *places = np.array(seen).T
+    way_x, way_y = (part / size if size >= LEAST_SHEAR_MM else 0.0 for part in shear_mm)
+    t_ns, *places = zip(*seen, strict=True)
     speed = 0.0
     for span_ns in SPANS_NS:
-        first = min(int(np.searchsorted(t_ns, t_ns[-1] - span_ns)), len(seen) - LEAST_FRAMES)
-        t = (t_ns[first:] - t_ns[first:].mean()) * 1e-9
-        spread = float(t @ t)
+        first = min(bisect_left(t_ns, t_ns[-1] - span_ns), len(seen) - LEAST_FRAMES)
+        t_s = [(each - t_ns[-1]) * 1e-9 for each in t_ns[first:]]
+        mean_s = sum(t_s) / len(t_s)
+        t_s = [each - mean_s for each in t_s]
+        spread = sum(map(mul, t_s, t_s))
         if spread <= 0:
             return False, None
-        *rates, deeper = np.array([t @ place[first:] for place in places]) / spread
-        held, moved = np.reshape(rates, (2, 2))
-        speed = math.hypot(*held)
-        loosened = size * max(0.0, -float(deeper)) / max(places[-1][-1], LEAST_DEPTH_MM)
-        slid = min(float(held @ way), float(moved @ way) + loosened)
-        least = max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread), FULL_PART * float(moved @ way))
-        if slid >= least:
+        held_x, held_y, moved_x, moved_y, deeper = (sum(map(mul, t_s, place[first:])) / spread for place in places)
+        speed = math.hypot(held_x, held_y)
+        loosened = size * max(0.0, -deeper) / max(places[-1][-1], LEAST_DEPTH_MM)
+        moved = moved_x * way_x + moved_y * way_y
+        slid = min(held_x * way_x + held_y * way_y, moved + loosened)
+        if slid >= max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread), FULL_PART * moved):
             return True, speed
     return False, speed

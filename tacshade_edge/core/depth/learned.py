@@ -119,11 +119,13 @@ class LearnedSolver:
         # Prepared here, so that no frame waits for it.
         shear = network.shear
         whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
-        self._shear_cells = CellMeans(preprocessor.integrator, whole)
+        same = shear.cells == profile.cells
+        self._shear_cells = self._cells if same else CellMeans(preprocessor.integrator, whole)
         at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
         self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
         # A fitted network was trained on the truth itself and needs no factor.
         self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
+        self._latest: tuple[Preprocessed, F32] | None = None  # and its white: depth and shear may see the same
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
     def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
@@ -132,7 +134,9 @@ class LearnedSolver:
 
     def white(self, preprocessed: Preprocessed) -> F32:
         """The network's input for an image before folding: float32 (cells, cells), 0 to 1."""
-        return self._cells.means(preprocessed.white)
+        if self._latest is None or self._latest[0] is not preprocessed:
+            self._latest = preprocessed, self._cells.means(preprocessed.white)
+        return self._latest[1]
 
     def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
         inverse = self.inverse(preprocessed, features)
@@ -157,7 +161,9 @@ class LearnedSolver:
         )
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32:
-        return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows, features)
+        same = self._shear_cells is self._cells
+        white = self.white(preprocessed) if same else self._shear_cells.means(preprocessed.white)
+        return self._shear(white, self.grid.rows, features)
 
 
 def untrusted_cells(inverse: Inverse, cells: int) -> Bool:

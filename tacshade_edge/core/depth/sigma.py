@@ -49,23 +49,23 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
     first_row, first_col = max(top - 1, 0), max(left - 1, 0)
     box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)  # with each cell's neighbours
-    near, chosen = np.nan_to_num(height_mm[box], nan=0.0), where[box]
+    near, at = np.fmax(height_mm[box], np.float32(0)), np.flatnonzero(where[box])
     along, across = (
-        cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE)[chosen]
+        cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE).take(at)
         for order in ((1, 0), (0, 1))
     )
     disc_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
     cell_mm = 2 * disc_map.REACH * disc_mm / cells
-    row, col = np.nonzero(chosen)
+    row, col = divmod(at, near.shape[1])
     each = cells // len(untrusted_logit)
-    x = np.empty((len(row), len(TERMS)), np.float32)
-    x[:, 0] = 1
-    x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(disc_map.skin_scale(geometry)))
-    x[:, 2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
+    x = np.empty((len(TERMS), len(at)), np.float32)
+    x[0] = 1
+    x[1] = np.log(_LEAST_HEIGHT_MM + near.take(at) / np.float32(disc_map.skin_scale(geometry)))
+    x[2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
     untrusted = untrusted_logit[(row + first_row) // each, (col + first_col) // each]
-    for k, logit, (low, high) in ((3, contact_logit[box][chosen], _CONTACT_RANGE), (4, untrusted, _UNTRUSTED_RANGE)):
-        x[:, k] = np.clip(np.nan_to_num(logit, nan=high), low, high)
-    return x
+    for k, logit, (low, high) in ((3, contact_logit[box].take(at), _CONTACT_RANGE), (4, untrusted, _UNTRUSTED_RANGE)):
+        np.maximum(np.fmin(logit, np.float32(high)), np.float32(low), out=x[k])  # fmin replaces NaN
+    return x.T
 
 
 def sigma_of_scale_1(model: SigmaModel, x: F32, geometry: Geometry) -> F32:

@@ -14,12 +14,12 @@ from tacshade_edge.core.contact.objects import (
     MIN_OBJECT_MM2,
     TWIST_CELLS,
     Objects,
-    about_mean,
     cells_by_label,
     find_objects,
     label_objects,
     normals,
-    rigid_motions,
+    rigid_motion,
+    spreads,
     two_means_split,
 )
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays, skin_points
@@ -34,9 +34,8 @@ def points(n: int, seed: int = 0) -> np.ndarray:
 
 def moved(now: np.ndarray, shear: np.ndarray) -> tuple[tuple[float, float], float | None, float]:
     """Of one object."""
-    first, counts = np.array([0]), np.array([now.shape[1]])
-    (found,) = zip(*rigid_motions(about_mean(now[:2], first, counts)[1], shear, first, counts), strict=True)
-    return found
+    (mean,), (spread,) = spreads(np.concatenate((now, shear)).astype(np.float64), [now.shape[1]])
+    return (mean[3], mean[4]), *rigid_motion(spread, now.shape[1])
 
 
 @given(x_mm=st.floats(-5, 5), y_mm=st.floats(-5, 5), twist_deg=st.floats(-60, 60), count=st.integers(TWIST_CELLS, 400))
@@ -56,12 +55,24 @@ def test_a_rigid_motion_is_found_as_it_is(x_mm: float, y_mm: float, twist_deg: f
 def test_the_normal_of_each_object_points_away_from_the_camera() -> None:
     first, second = points(40, 1), points(7, 2)[[1, 0, 2]]
     now = np.concatenate((first, second, points(1, 3)), axis=1)
-    starts = np.array([0, 40, 47])
-    found = normals(about_mean(now, starts, np.array([40, 7, 1]))[1], starts)
+    found = np.array(normals(spreads(now.astype(np.float64), [40, 47, 48])[1]))
     expected = np.array(((0.2, -0.1, 1), (-0.1, 0.2, 1))) / math.sqrt(1.05)
     np.testing.assert_allclose(found[:2], expected, atol=1e-4)
     assert np.linalg.norm(found[2]) == pytest.approx(1.0)
     assert found[2, 2] >= 0
+
+
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=4), st.floats(-50, 50), st.integers(0, 2**32 - 1))
+def test_the_spreads_of_objects_far_from_the_axis_are_those_of_values_less_their_mean(
+    counts: list[int], away_mm: float, seed: int
+) -> None:
+    values = away_mm + np.random.default_rng(seed).uniform(-0.1, 0.1, (5, sum(counts)))
+    ends = np.cumsum(counts)
+    means, found = spreads(values, ends.tolist())
+    for mean, spread, part in zip(means, found, np.split(values, ends[:-1], axis=1), strict=True):
+        less = part - part.mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(mean, part.mean(axis=1), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(spread, less @ less.T, atol=1e-12 * part.shape[1])
 
 
 def squares(values: np.ndarray, threshold: float) -> float:
