@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 from operator import add
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,7 +34,8 @@ def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[S
     rows = np.empty((len(values) + 1, values.shape[1]))
     np.subtract(values, first, out=rows[:-1])
     rows[-1] = 1
-    origin, means, made = first[:, 0].tolist(), [], []
+    origin, means = first[:, 0].tolist(), []
+    made: list[Spread] = []
     for start, end in pairwise((0, *ends)):
         part = rows[:, start:end]
         *products, (*totals, count) = (part @ part.T).tolist()
@@ -181,15 +183,17 @@ def _described(
         np.concatenate((x_y_z, *([] if shear_mm is None else [shear_mm])), dtype=np.float64), ends[1:].tolist()
     )
     highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
-    columns = (
-        (highest.astype(np.float64) - lowest).T.tolist(),
+    columns: tuple[list[Any], ...] = (
+        list(map(tuple, (highest.astype(np.float64) - lowest).T.tolist())),
         np.maximum.reduceat(height_mm, starts).tolist(),
         np.add.reduceat(cell_area, starts, dtype=np.float64).tolist(),
-        normals(spread),
+        list(map(tuple, normals(spread))),
     )
     made = []
     for label, (extent, depth, area, normal) in enumerate(zip(*columns, strict=True)):
         x, y, z, *shear = means[label]
-        moved = (tuple(shear), *rigid_motion(spread[label], int(ends[label + 1] - ends[label]))) if shear else ()
-        made.append(TouchedObject(label + 1, (x, y, z), tuple(extent), depth, area, tuple(normal), *moved))
+        moved: tuple[Any, ...] = (
+            (tuple(shear), *rigid_motion(spread[label], int(ends[label + 1] - ends[label]))) if shear else ()
+        )
+        made.append(TouchedObject(label + 1, (x, y, z), extent, depth, area, normal, *moved))
     return tuple(made)

@@ -81,7 +81,7 @@ class Session(Client):
     def send(self, data: memoryview) -> int:
         """Send the rest of a packet; return how many bytes the socket took. paho's thread finds out about a loss."""
         try:
-            return int(self.socket().send(data))  # type: ignore[union-attr]
+            return int(self.socket().send(data))  # type: ignore[union-attr, arg-type]
         except (OSError, AttributeError):
             return 0
 
