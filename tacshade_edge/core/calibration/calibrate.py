@@ -100,7 +100,9 @@ def calibrate(
         if graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
             words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
             # A fit to labels that contradict each other learns their errors.
-            is_exact = not hint and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
+            is_exact = not (hint or selection.wrong_keys) and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(
+                geometry
+            )
             advice = "; --fit may help" if is_exact else ""
             warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)

@@ -178,12 +178,13 @@ _MAX_LEFT_OUT = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """The presses to fit, their observations, and warnings about all presses."""
+    """The presses to fit, their observations, warnings about all presses, and `wrong_keys` of SENSOR.yaml."""
 
     presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
     warnings: tuple[str, ...]
     polarity: Polarity
+    wrong_keys: str
 
 
 def select_presses(
@@ -244,6 +245,7 @@ def select_presses(
         tuple(observations[k] for k in usable),
         (*warnings, *(f"{reason}; left out" for reason in left_out)),
         polarity,
+        keys,
     )
 
 

@@ -18,7 +18,7 @@ from tacshade_edge.core.depth.learned import scale_mm
 from tacshade_edge.types import Geometry
 
 _KEYS = ("camera_distance_mm", "visible_half_angle_deg", "skin_radius_mm")
-_FACTORS = np.exp(np.linspace(-math.log(2), math.log(2), 13))
+_FACTORS = np.exp(np.linspace(-math.log(3), math.log(3), 17))
 _MOST_DEG = 85.0
 # A key explains the presses if its log likelihood exceeds that of the stated values by this much for each press and in
 # all, and by this part of what the best key gains. On four simulated sensors each press gained 0.01 without a mistake,
