@@ -64,6 +64,8 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.types("undo")
         one.hears("removed press_001.png")
         one.types("skip")
+        one.hears("press 1, ")
+        one.types("skip")
         one.types("ball 6 2.5 1 15 15")
         one.hears("found 4 values after the indenter")
         one.types("bal 6 2 -1 6")
