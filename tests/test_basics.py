@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.free_memory import drop_unused_code
 from tacshade_edge.quoting import escaped, quoted, shown
 from tacshade_edge.regular_files import named_file, read_regular
 from tacshade_edge.rigid import from_seven, turn, turned_rad
@@ -143,14 +142,3 @@ def test_a_turn_gives_its_vector_back(axis: tuple[float, float, float], angle: f
     size = math.hypot(*axis)
     vector = np.array(axis) * (angle / size if size > 1e-3 else 0.0)
     np.testing.assert_allclose(turned_rad(turn(vector).rotation), vector, atol=1e-9)
-
-
-@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs Linux")
-def test_code_that_was_dropped_runs_again() -> None:
-    def mapped_kb() -> int:
-        return int(Path("/proc/self/status").read_text().split("RssFile:")[1].split()[0])
-
-    before_kb = mapped_kb()
-    drop_unused_code()
-    assert mapped_kb() < before_kb
-    np.testing.assert_allclose(np.linalg.inv(np.array([[2.0, 0.0], [0.0, 4.0]])), [[0.5, 0.0], [0.0, 0.25]])

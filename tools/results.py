@@ -31,6 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
+FITTED = "9024/none,other:9024/none,9024,other:9024"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,11 @@ PAGES = {
         r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) |^5 ",
         drawn=("servo.png",),
         own=("tools/examples/servo",),
+    ),
+    "fit": Page(
+        {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
+        r"^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst)$",
+        own=("tacshade_edge/fitting",),
     ),
     "touch": Page(
         {

@@ -37,7 +37,7 @@ from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
-from tacshade_edge.free_memory import drop_unused_code, return_free_memory, share_free_memory
+from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import codec, messages, requests
 from tacshade_edge.protocol.requests import Request
@@ -171,7 +171,6 @@ class App:
         cv2.setNumThreads(1)
         share_free_memory()
         return_free_memory()
-        drop_unused_code()
         with crashes_to(self._events.put):
             self._changed()
             self._publish_state()

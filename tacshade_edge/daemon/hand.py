@@ -176,7 +176,7 @@ class HandProcess:
             due_ns = self._aggregator.due_ns()
             if due_ns is not None and now_ns >= due_ns:
                 message = self._aggregator.message(now_ns, time.time_ns())
-                self._link.offer({STREAM: encode_hand(message)}, message.seq)
+                self._link.offer(STREAM, encode_hand(message), message.seq)
                 continue
             wait_s = LOOK_S if due_ns is None else min(LOOK_S, (due_ns - now_ns) / 1e9)
             for key, _ in self._selector.select(max(0.0, min(wait_s, next_tick_s - now_s))):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -107,7 +107,7 @@ class Publisher(FrameObserver):
     is left with outdated values. With `always_shear` it requests shear even without a listener.
     """
 
-    offer: Callable[[Mapping[str, bytes], int], None]
+    offer: Callable[[str, bytes, int], None]
     publish_event: Callable[[str, bytes], None]
     settle: Callable[[int, FrameOutcome], None]
     has_listener: Callable[[str], bool] = lambda stream: True
@@ -137,23 +137,21 @@ class Publisher(FrameObserver):
             return
         changed = result.contact != self._contact
         self._contact = result.contact
-        payloads: dict[str, bytes] = {}
-        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
-        taken = wire.Taken(calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us)
-        if changed or (result.contact and self.has_listener("height")):
-            payloads["height"] = wire.encode_height(result, **taken)
+        height_goes = changed or (result.contact and self.has_listener("height"))
+        if height_goes:
+            self._send("height", wire.encode_height, result, seen)
         if result.contact and (changed or self.has_listener("cloud")):
-            payloads["cloud"] = wire.encode_cloud(result, **taken)
+            self._send("cloud", wire.encode_cloud, result, seen)
         for stream, encode, grid in (
             ("shear", wire.encode_shear, result.shear_mm),
             ("sigma", wire.encode_sigma, result.sigma_mm),
         ):
             if grid is not None and (result.contact or changed) and self.has_listener(stream):
-                payloads[stream] = encode(result, **taken)
+                self._send(stream, encode, result, seen)
         touch_ended = result.touch is None and not result.contact and (changed or self._touched)
         self._touched = result.touch is not None
         if (self._touched or touch_ended) and self.has_listener("touch"):
-            payloads["touch"] = messages.encode_touch(result)
+            self.offer("touch", messages.encode_touch(result), result.seq)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
@@ -162,12 +160,15 @@ class Publisher(FrameObserver):
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
         if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
-            payloads["contact"] = messages.encode_contact(result, fps=self.fps)
-        if "height" not in payloads:
+            self.offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
+        if not height_goes:
             without: FrameOutcome = "without_contact" if result.valid else "invalid"
             self.settle(result.seq, "unasked" if result.contact else without)
-        if payloads:
-            self.offer(payloads, result.seq)
+
+    def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
+        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
+        pose = {"pose": seen.frame.pose, "pose_error_us": seen.frame.pose_error_us}
+        self.offer(stream, encode(result, calibration_crc32=crc32, **pose), result.seq)
 
 
 BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
@@ -295,7 +296,7 @@ class Preview(FrameObserver):
         self._published = frame
         size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
         _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA))
-        self._link.offer({"preview": jpeg.tobytes()}, frame.seq)
+        self._link.offer("preview", jpeg.tobytes(), frame.seq)
 
 
 STATUS = "status/home_assistant"

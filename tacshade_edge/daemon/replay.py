@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -314,10 +314,10 @@ class ReplayLink:
             self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))
         self._link.stop(STOP_S)
 
-    def _offer(self, payloads: Mapping[str, bytes], seq: int) -> None:
+    def _offer(self, stream: str, payload: bytes, seq: int) -> None:
         with self._changed:
-            self._open += len(payloads)
-        self._link.offer(payloads, seq)
+            self._open += 1
+        self._link.offer(stream, payload, seq)
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         with self._changed:

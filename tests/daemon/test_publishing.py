@@ -58,7 +58,7 @@ class Played:
         self.offers: list[tuple[str, bytes, int]] = []
         settled: dict[int, FrameOutcome] = {}
         publisher = Publisher(
-            lambda payloads, seq: self.offers.extend((stream, payload, seq) for stream, payload in payloads.items()),
+            lambda stream, payload, seq: self.offers.append((stream, payload, seq)),
             lambda topic, payload: pytest.fail(f"{topic}: {payload!r}"),
             settled.__setitem__,
             lambda stream: stream in wanted,
@@ -258,13 +258,13 @@ class Link:
     def __init__(self) -> None:
         self.connected = True
         self.listened = True
-        self.offered: list[tuple[dict[str, bytes], int]] = []
+        self.offered: list[tuple[str, bytes, int]] = []
 
     def has_listener(self, stream: str) -> bool:
         return self.listened
 
-    def offer(self, payloads: dict[str, bytes], seq: int) -> None:
-        self.offered.append((payloads, seq))
+    def offer(self, *payload: Any) -> None:
+        self.offered.append(payload)
 
 
 def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_needed(pictures: Any) -> None:
@@ -277,9 +277,9 @@ def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_nee
     for away, alone in ((True, False), (False, True), (False, False), (False, False)):
         link.connected, link.listened = not away, not alone
         preview.publish()
-    ((payloads, seq),) = link.offered
-    assert (list(payloads), seq) == (["preview"], 4)
-    assert cv2.imdecode(np.frombuffer(payloads["preview"], np.uint8), cv2.IMREAD_UNCHANGED).shape == (240, WIDTH_PX)
+    ((stream, jpeg, seq),) = link.offered
+    assert (stream, seq) == ("preview", 4)
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape == (240, WIDTH_PX)
 
 
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")

@@ -41,7 +41,7 @@ def frame(seq: int) -> Frame:
 def published(*results: Reconstruction) -> list[tuple[str, bytes]]:
     """What the daemon's own publisher sends of them."""
     sent: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda payloads, _: sent.extend(payloads.items()), lambda *_: None, lambda *_: None)
+    publisher = Publisher(lambda topic, payload, _: sent.append((topic, payload)), lambda *_: None, lambda *_: None)
     for result in results:
         publisher.see(FrameResult(frame(result.seq), calibrated(), result))
     return sent

@@ -62,7 +62,7 @@ def offer_for(rig: Rig, seconds: float, fps: int = 60, size: int = 38_000, first
     pause = threading.Event()
     count = round(seconds * fps)
     for seq in range(first, first + count):
-        rig.link.offer({"height": seq.to_bytes(4, "big") + bytes(size)}, seq)
+        rig.link.offer("height", seq.to_bytes(4, "big") + bytes(size), seq)
         pause.wait(1 / fps)
     return count
 
@@ -77,7 +77,7 @@ def come_back(rig: Rig, subscriber: Subscriber, seq: int) -> None:
 
     def received() -> bool:
         nonlocal seq
-        rig.link.offer({"height": seq.to_bytes(4, "big")}, seq)
+        rig.link.offer("height", seq.to_bytes(4, "big"), seq)
         seq += 1
         return len(numbers(subscriber)) > have
 

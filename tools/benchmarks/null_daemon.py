@@ -58,15 +58,17 @@ def main() -> None:
         t_ns = zero_ns + seq * period_ns
         time.sleep(max(t_ns - time.monotonic_ns(), 0) / 1e9)
         ledger.captured(seq)
-        pair, sent = payloads[seq % len(payloads)], dict[str, bytes]()
+        pair = payloads[seq % len(payloads)]
         if pair is not None:
-            sent = {name: stamped(each, seq, t_ns) for name, each in zip(("height", "cloud"), pair, strict=True)}
+            link.offer("height", stamped(pair[0], seq, t_ns), seq)
+            link.offer("cloud", stamped(pair[1], seq, t_ns), seq)
         else:
             ledger.settle(seq, "without_contact")
         if pair is not None or t_ns - contact_ns >= CONTACT_PERIOD_NS:
             contact_ns = t_ns
-            sent["contact"] = json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode()
-            link.offer(sent, seq)
+            link.offer(
+                "contact", json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode(), seq
+            )
     ledger.close(1.0)
     link.set_retained("health", json.dumps({"frames": ledger.counts().as_dict()}).encode(), qos=0)
     link.stop(1.0)

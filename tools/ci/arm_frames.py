@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -102,11 +101,11 @@ def step(folder: Path, profile: str, image: int, last: str, port: int, count: in
             threading.Event().wait(0.1)
     offered = 0
 
-    def offer(payloads: Mapping[str, bytes], seq: int) -> None:
+    def offer(stream: str, payload: bytes, seq: int) -> None:
         nonlocal offered
         if link is not None:
-            offered += len(payloads)
-            link.offer(payloads, seq)
+            offered += 1
+            link.offer(stream, payload, seq)
 
     publisher = Publisher(offer, lambda *_: None, lambda *_: None)
     for k in range(count):

@@ -258,7 +258,7 @@ def program() -> str:
     package = Path(tacshade_edge.__file__).parent
     for room in ("core", "fitting", "simulator", "inference"):
         for path in sorted((package / room).rglob("*")):
-            if path.is_file() and path.suffix != ".pyc":
+            if path.is_file() and path.parent.name != "__pycache__":  # which also holds numba's code
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import select
 import socket
@@ -49,41 +48,7 @@ class Session(Client):
     """
 
     refused = 0
-    write: Callable[[], bool] = staticmethod(lambda: False)
-    """Called in the network thread after `wake` and once the socket takes more; whether it waits for the socket."""
-    _waits = _woken = False
     _unknown_code: int | None = None
-
-    def wake(self) -> None:
-        """Make the network thread call `write`; any thread may call this."""
-        if not self._woken and self._sockpairW is not None:
-            self._woken = True
-            with contextlib.suppress(OSError):  # closed, or full of wakes
-                self._sockpairW.send(b"\0")
-
-    def queued(self) -> bool:
-        """Whether paho has a packet to write, or has begun one."""
-        return super().want_write()
-
-    def want_write(self) -> bool:
-        """Whether paho's thread is to wait for the socket."""
-        return self._waits or self.queued()
-
-    def loop_write(self) -> MQTTErrorCode:
-        """Write, in paho's thread, after a wake or once the socket takes more."""
-        self._woken, self._waits = False, self.write()
-        if self._waits or not self.queued():
-            return MQTTErrorCode.MQTT_ERR_SUCCESS
-        done = super().loop_write()
-        self._waits = self.write()
-        return done
-
-    def send(self, data: memoryview) -> int:
-        """Send the rest of a packet; return how many bytes the socket took. paho's thread finds out about a loss."""
-        try:
-            return int(self.socket().send(data))  # type: ignore[union-attr, arg-type]
-        except (OSError, AttributeError):
-            return 0
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
         """Hand every message to `on_message` with its topic, where U+FFFD replaces what is not UTF-8.
@@ -220,26 +185,11 @@ class _Packed(Properties):
         return packed
 
 
-def stream_head(topic: str, properties: Properties) -> bytes:
-    """Return what precedes the payload in a message with QoS 0, without its first bytes (MQTT 5, section 3.3)."""
-    path, packed = topic.encode(), properties.pack()  # type: ignore[no-untyped-call]
-    return len(path).to_bytes(2, "big") + path + bytes(packed)
-
-
-def stream_packet(head: bytes, payload: bytes) -> memoryview:
-    """Return a message with QoS 0; paho takes five times as long."""
-    left, first = len(head) + len(payload), bytearray(b"\x30")
-    while left > 127:
-        first.append(left & 127 | 128)
-        left >>= 7
-    first.append(left)
-    return memoryview(b"".join((first, head, payload)))
-
-
-def packet_bytes(head: bytes, payload: bytes) -> int:
-    """Return an upper bound of a message's size on the wire in bytes, with this `stream_head`."""
-    header, packet_id = 5, 2
-    return header + packet_id + len(head) + len(payload)
+def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
+    """Return an upper bound of a message's size on the wire in bytes (MQTT 5, section 3.3)."""
+    header, packet_id, length = 5, 2, 2
+    packed: bytes = properties.pack()  # type: ignore[no-untyped-call]
+    return header + length + len(topic.encode()) + packet_id + len(packed) + len(payload)
 
 
 def packet_bytes_max(connack: Properties | None) -> int | None:

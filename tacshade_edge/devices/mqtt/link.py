@@ -144,6 +144,7 @@ class MqttLink(Outgoing):
             return max(0.0, began_s + part * timeout_s - time.monotonic())
 
         self._state_sent.clear()
+        self._post(self._pump_last)
         self.set_retained("state", b"stopped")
         if self.connected:
             self._state_sent.wait(left_s(0.6))
@@ -165,6 +166,13 @@ class MqttLink(Outgoing):
         self._watched[topic] = on_payload
 
     # -- executed in turn -----------------------------------------------------------------------------------------
+
+    def _pump_last(self) -> None:
+        """Send the last payload of each stream, however many paho holds."""
+        for slot in self._slots.values():
+            if not slot.retain:
+                slot.most += 1
+                self._pump(slot)
 
     def _give_up(self) -> None:
         self._lost()
@@ -221,7 +229,7 @@ class MqttLink(Outgoing):
 
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
         self._thread = threading.current_thread()
-        self._execute_now(lambda: self._disconnected(None))
+        self._post(lambda: self._disconnected(None))
         self._guard.wait_until_gone(self._report_holder, lambda: self._stopping)
         if self._stopping:
             raise ConnectionAbortedError("stopped")
@@ -255,7 +263,7 @@ class MqttLink(Outgoing):
             self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
-        self._execute_now(lambda: self._disconnected(code))
+        self._post(lambda: self._disconnected(code))
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         self._post(lambda: self._subscribed(codes))

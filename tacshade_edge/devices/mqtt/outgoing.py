@@ -1,10 +1,10 @@
 """Publishing to the broker: it never blocks its caller, and its memory is bounded whatever the peer does.
 
-Every topic has a slot: one waiting payload, the newest, and at most two that are on their way. paho sends retained
-values, and a stream's probes; the rest of a stream is written past it, since its queue is unbounded for QoS 0 and slow.
+paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest, and at most two
+that paho holds and has not yet written.
 
-Threads: the callers' and the network thread, which alone writes. Whatever changes the state is a call in one queue,
-which the network thread executes while there is a connection, else one caller at a time. No caller waits for its turn.
+Threads: the callers' and paho's network thread. Whatever changes the state is a call in one queue, which one thread at
+a time executes, so they need no lock. No thread waits for another's turn: paho calls back while it holds its own locks.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
@@ -22,14 +22,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX, with_fix
-from tacshade_edge.devices.mqtt.client import (
-    PACKET_TOO_LARGE,
-    Session,
-    packet_bytes,
-    publish_properties,
-    stream_head,
-    stream_packet,
-)
+from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, Session, packet_bytes, publish_properties
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.topics import OF_SENSORS
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -61,14 +54,13 @@ class _Item:
 
 @dataclass(slots=True, eq=False)
 class _Slot:
-    """The payloads of one topic that wait or that are on their way: the latest wins."""
+    """The payloads of one topic that wait or that paho holds: the latest wins."""
 
     topic: str
     qos: int
     retain: bool  # the newest value is sent again on every connection, and has no outcome
-    most: int  # how many payloads may be on their way: partly written (QoS 0) or unacknowledged (QoS 1)
+    most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
     properties: Properties
-    head: bytes  # of its messages with QoS 0
     waiting: _Item | None = None
     handed: list[_Item] = field(default_factory=list)
     newest: _Item | None = None
@@ -88,15 +80,13 @@ class _Slot:
         return 1
 
     def disconnected(self) -> list[_Item]:
-        """Take back what was on its way: the newest waits again unless a newer one does; return the others, which
-        failed.
-        """
+        """Take back what paho held: the newest waits again unless a newer one does; return the others, which failed."""
         lost, self.handed = self.handed, []
         self.probed_ns, self.no_listener, self.refused = None, False, None
         if self.retain:
             self.waiting = self.newest
             return []
-        if self.waiting is None and lost and lost[-1] is self.newest:
+        if self.waiting is None and lost:
             self.waiting = lost.pop()
         return lost
 
@@ -126,10 +116,7 @@ class Outgoing:
         self._state_sent = threading.Event()  # the newest one, or the connection was lost
         self._stopping = False
         self._slots: dict[str, _Slot] = {}
-        self._order: list[_Slot] = []  # in which they are sent: the state after what came before it
         self._by_mid: dict[int, _Sent] = {}
-        self._rest = memoryview(b"")  # of the packet that is being written, the last one handed to `_rest_of`
-        self._rest_of: _Slot | None = None
         self._denied: set[str] = set()
         # The largest packet that the broker accepts and how that showed, and the largest that it has acknowledged.
         self._bytes_max: int | None = None
@@ -137,7 +124,6 @@ class Outgoing:
         self._bytes_proven = 0
         self._too_large: Reason | None = None
         self._counters = Counter(dict.fromkeys(_COUNTERS, 0))
-        client.write = self._write
         client.answered(lambda mid, code: self._post(lambda: self._answered(mid, code)))
 
     @property
@@ -163,6 +149,7 @@ class Outgoing:
         def put() -> None:
             slot = self._slot(topic, qos, True)
             slot.waiting = slot.newest = _Item(payload, 0)
+            self._pump(slot)
 
         self._post(put)
 
@@ -175,24 +162,24 @@ class Outgoing:
         slot = self._slots.get(stream)
         return slot is None or not slot.no_listener or slot.probe_due(time.monotonic_ns())
 
-    def offer(self, payloads: Mapping[str, bytes], seq: int) -> None:
-        """Send a frame's payloads by stream (not retained) once the peer accepts them, unless newer ones come first.
+    def offer(self, stream: str, payload: bytes, seq: int) -> None:
+        """Send a payload of a stream (not retained) once the peer accepts it, unless a newer one comes first.
 
         QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone listens (`has_listener`).
 
-        The one outcome of each: ``published`` (handed to the operating system), ``superseded`` (by a newer one),
-        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or ``failed``
-        (displaced or lost while the broker was away; before the first connection, ``superseded``). The newest payload
-        is kept while the broker is away and goes first afterwards, so that subscribers do not keep outdated data.
+        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
+        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
+        ``failed`` (displaced or lost while the broker was away; before the first connection, ``superseded``). The
+        newest payload is kept while the broker is away and is sent first afterwards, so that subscribers do not keep
+        outdated data.
         """
 
         def put() -> None:
-            for stream, payload in payloads.items():
-                slot, item = self._slot(stream, 0, False), _Item(payload, seq)
-                displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
-                if displaced is not None:
-                    live = self.connected and not self._stopping
-                    self._settle("superseded" if live else "failed", slot, displaced)
+            slot, item = self._slot(stream, 0, False), _Item(payload, seq)
+            displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
+            if displaced is not None:
+                self._settle("superseded" if self.connected and not self._stopping else "failed", slot, displaced)
+            self._pump(slot)
 
         self._post(put)
 
@@ -205,50 +192,16 @@ class Outgoing:
         self._send_once("events", topic, payload, None)
 
     def _post(self, call: Callable[[], None]) -> None:
-        """Execute a call after those already posted: at once without a connection, unless another has the turn."""
+        """Execute a call after those already posted; at once, unless another thread is executing them."""
         self._calls.append(call)
-        if self.connected:
-            self._client.wake()
-            return
         while self._calls and self._turn.acquire(blocking=False):
             try:
-                self._execute()
+                while self._calls:
+                    self._calls.popleft()()
             finally:
                 self._turn.release()
 
-    def _execute_now(self, call: Callable[[], None]) -> None:
-        """Execute a call after those already posted, in the network thread."""
-        self._calls.append(call)
-        with self._turn:
-            self._execute()
-
-    def _write(self) -> bool:
-        """Write all that may go, in the network thread; return whether it waits for the socket."""
-        while True:
-            with self._turn:
-                self._execute()
-                if self._rest_of is not None and not self._sent_rest(self._rest_of):
-                    return True
-                busy = self._client.queued() or any(slot.waiting and self._pump(slot) for slot in self._order)
-            if not busy and not self._calls:  # which may come from a caller that found no turn
-                return False
-            if self._client.queued():  # paho's turn
-                return False
-
     # -- executed in turn -----------------------------------------------------------------------------------------
-
-    def _execute(self) -> None:
-        while self._calls:
-            self._calls.popleft()()
-
-    def _sent_rest(self, slot: _Slot) -> bool:
-        """Send the rest of the packet that is on its way; return whether all is sent."""
-        self._rest = self._rest[self._client.send(self._rest) :]
-        if self._rest:
-            return False
-        self._rest_of = None
-        self._settle("refused" if self._denies(slot) else "published", slot, slot.handed.pop())
-        return True
 
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
@@ -257,45 +210,31 @@ class Outgoing:
         if topic not in self._slots:
             content_type = CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
-            most, head = 1 if retain else _UNSENT_PER_STREAM, stream_head(self._path(topic), properties)
-            self._slots[topic] = _Slot(topic, qos, retain, most, properties, head)
-            self._order = sorted(self._slots.values(), key=lambda slot: (slot.topic == "state", not slot.retain))
+            self._slots[topic] = _Slot(topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties)
         return self._slots[topic]
 
-    def _pump(self, slot: _Slot) -> bool:
-        """Send a slot's item on its way if it may go; return whether there is something to write.
+    def _pump(self, slot: _Slot) -> None:
+        """Hand paho the items of a slot that it may send.
 
         The state goes first, and the rest once the broker has answered it: otherwise frames that access rules deny
         would count as published until the answer.
         """
-        state, item = self._slots["state"], slot.waiting
-        if item is None or len(slot.handed) >= slot.most or not self.connected or self._stopping:
-            return False
-        if slot is not state and state.refused is None:
-            return False
-        slot.waiting = None
-        size = packet_bytes(slot.head, item.payload)
-        if self._exceeds(slot.topic, size):
-            self._settle("refused", slot, item)
-            return False
-        qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
-        if qos or slot.retain:
+        state = self._slots["state"]
+        while (item := slot.waiting) is not None and len(slot.handed) < slot.most:
+            if not self.connected or self._stopping or (slot is not state and state.refused is None):
+                return
+            slot.waiting = None
+            size = packet_bytes(self._path(slot.topic), item.payload, slot.properties)
+            if self._exceeds(slot.topic, size):
+                self._settle("refused", slot, item)
+                continue
+            qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
             info = self._client.publish(self._path(slot.topic), item.payload, qos, slot.retain, slot.properties)
             if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:  # the connection is failing; the next one pumps
                 slot.waiting = item
-                return False
+                return
+            slot.handed.append(item)
             self._by_mid[info.mid] = _Sent(slot, item, qos, size)
-        else:
-            self._rest, self._rest_of = stream_packet(slot.head, item.payload), slot
-        slot.handed.append(item)
-        slot.newest = slot.newest if slot.retain else item
-        return True
-
-    def _denies(self, slot: _Slot) -> bool | None:
-        """Whether the broker denies a stream's item with QoS 0, which has no answer: it denied the stream's latest
-        probe, or the state.
-        """
-        return self._slots["state"].refused if slot.refused is None else slot.refused
 
     def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
         """Publish a reply or an event (QoS 1).
@@ -303,7 +242,7 @@ class Outgoing:
         It is dropped if not connected, if too large, or if 16 are still unacknowledged.
         """
         properties = publish_properties(_JSON, correlation=correlation)
-        size = packet_bytes(stream_head(self._path(topic), properties), payload)
+        size = packet_bytes(self._path(topic), payload, properties)
 
         def send() -> None:
             too_large = self._exceeds(topic, size)
@@ -336,10 +275,15 @@ class Outgoing:
                 slot.refused = bool(slot.refused)
             else:
                 slot.no_listener, slot.refused = code.value == _NO_LISTENER, code.is_failure
-        denied = code.is_failure if slot.retain else self._denies(slot)
-        self._settle("refused" if too_large or denied else "published", slot, item)
         state = self._slots["state"]
-        if state.waiting is None and not state.handed:
+        # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
+        denied = code.is_failure if slot.retain else state.refused if slot.refused is None else slot.refused
+        self._settle("refused" if too_large or denied else "published", slot, item)
+        if slot is state:
+            for other in sorted(self._slots.values(), key=lambda o: (o is state, not o.retain)):
+                self._pump(other)
+        self._pump(slot)
+        if not state.handed:
             self._state_sent.set()
 
     def _note(self, topic: str, size: int, code: MqttCode) -> None:
@@ -390,14 +334,13 @@ class Outgoing:
         self._bytes_max, self._bytes_max_why = bytes_max, f"accepts packets of at most {bytes_max} bytes"
         self._bytes_proven, self._too_large = 0, None
         self._away.clear()
-        self._client.wake()
+        self._pump(self._slots["state"])
 
     def _lost(self) -> None:
         """Forget the connection, if there is one."""
         if self.connected:
             self._counters["losses"] += not self._stopping
             self._by_mid.clear()
-            self._rest_of = None
             for slot in self._slots.values():
                 for item in slot.disconnected():
                     self._settle("failed", slot, item)

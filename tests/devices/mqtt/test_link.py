@@ -39,7 +39,7 @@ def unheard(rig: Rig, topic: str) -> None:
     """Offer until the broker says that nobody listens, which holds for a second: a slow machine may miss that."""
 
     def nobody() -> bool:
-        rig.link.offer({topic: b""}, 0)
+        rig.link.offer(topic, b"", 0)
         return not rig.link.has_listener(topic)
 
     wait_until(nobody, 3, f"nobody listens to {topic}")
@@ -51,8 +51,8 @@ class TestUp:
     def test_published_bytes_arrive_as_they_were_and_decode(self, rig: Rig, subscriber: Subscriber) -> None:
         result = reconstruction(41)
         height, cloud = (encode(result, calibration_crc32=3) for encode in (wire.encode_height, wire.encode_cloud))
-        rig.link.offer({"height": height}, 41)
-        rig.link.offer({"cloud": cloud}, 41)
+        rig.link.offer("height", height, 41)
+        rig.link.offer("cloud", cloud, 41)
         assert subscriber.wait_for(f"{BASE}/height") == [height]
         assert subscriber.wait_for(f"{BASE}/cloud") == [cloud]
         decoded = wire.decode(height)
@@ -80,14 +80,14 @@ class TestUp:
         assert rig.link.has_listener("cloud")
         with Subscriber(broker.port, f"{BASE}/height") as subscriber:
             wait_until(lambda: rig.link.has_listener("height"), 3, "time to ask again")
-            rig.link.offer({"height": b"1"}, 1)
+            rig.link.offer("height", b"1", 1)
             subscriber.wait_for(f"{BASE}/height")
             wait_until(lambda: rig.link.has_listener("height"), 3, "heard")
 
     def test_stop_says_stopped_after_the_last_frame(self, broker: Broker, subscriber: Subscriber) -> None:
         rig = Rig(broker.port).connect()
         for seq in range(5):
-            rig.link.offer({"height": seq.to_bytes(4, "big") + bytes(200_000)}, seq)
+            rig.link.offer("height", seq.to_bytes(4, "big") + bytes(200_000), seq)
         rig.link.stop(2)
         rig.link.stop(2)  # again is nothing
         assert subscriber.wait_for(f"{BASE}/state", 2)[-1] == b"stopped"
@@ -95,7 +95,7 @@ class TestUp:
         topics = [m.topic for m in subscriber.messages]
         assert topics.index(f"{BASE}/height") < len(topics) - 1
         assert topics[-1] == f"{BASE}/state"
-        rig.link.offer({"height": b"late"}, 5)
+        rig.link.offer("height", b"late", 5)
         assert sorted(s for s, _ in rig.outcomes["height"]) == list(range(6))
         assert rig.outcomes["height"][-1] == (5, "failed")
         assert not rig.link.connected
@@ -124,7 +124,7 @@ class TestUp:
     def test_payloads_and_passwords_are_not_logged(self, broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
         caplog.set_level(logging.DEBUG)
         rig = Rig(broker.port, username="u", password="pa55word").connect()
-        rig.link.offer({"contact": b"pay1oad"}, 0)
+        rig.link.offer("contact", b"pay1oad", 0)
         rig.link.stop(2)
         assert "connected" in caplog.text
         assert "pa55word" not in caplog.text
@@ -189,7 +189,7 @@ class TestRefused:
     def test_tls(self, tmp_path: Path) -> None:
         with Broker(tmp_path, tls=True) as broker:
             rig = Rig(broker.port, tls_ca=str(broker.ca)).connect()
-            rig.link.offer({"height": b"x"}, 0)
+            rig.link.offer("height", b"x", 0)
             wait_until(lambda: rig.outcomes["height"] == [(0, "published")], 3, "published")
             rig.link.stop(2)
             (tmp_path / "other").mkdir()
@@ -297,8 +297,8 @@ class TestRequests:
         broker.stall()
         for _ in range(1_000):
             rig.link.reply(Request("status"), bytes(1_000))
-        wait_until(lambda: rig.link.counters()["replies_dropped"] == 984, 5, "the others are dropped")
         assert rig.link.counters()["replies"] == 16
+        assert rig.link.counters()["replies_dropped"] == 984
 
     def test_events_arrive_each_once_and_are_not_retained(
         self, rig: Rig, broker: Broker, subscriber: Subscriber

@@ -43,7 +43,7 @@ class TestAway:
         rig = Rig(broker.port)
         rig.link.start()
         for seq in range(10):
-            rig.link.offer({"height": seq.to_bytes(4, "big")}, seq)
+            rig.link.offer("height", seq.to_bytes(4, "big"), seq)
         with broker, Subscriber(broker.port, f"{BASE}/height") as subscriber:
             promised(lambda: rig.link.connected, BACK_S, "connected")
             subscriber.wait_for(f"{BASE}/height")
@@ -60,14 +60,14 @@ class TestAway:
         broker.start()
         promised(lambda: rig.link.connected, BACK_S, "connected")
         with Subscriber(broker.port, f"{BASE}/#") as late:
-            rig.link.offer({"contact": b"{}"}, 0)  # behind everything that the new connection began with
+            rig.link.offer("contact", b"{}", 0)  # behind everything that the new connection began with
             late.wait_for(f"{BASE}/contact")
             assert set(late.of(f"{BASE}/status/camera")) == {b"new"}
 
     def test_stop_without_a_broker_ends_in_time(self) -> None:
         rig = Rig(free_port())
         rig.link.start()
-        rig.link.offer({"height": b"x"}, 0)
+        rig.link.offer("height", b"x", 0)
         stopped = threading.Event()
         threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
         assert stopped.wait(1.5 + stretched(0.5))
@@ -114,7 +114,7 @@ class TestStalled:
     def test_short_stall_ends_with_the_newest_frame(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
         broker.stall()
         last = offer_for(rig, 1.0, fps=100, size=200_000)
-        rig.link.offer({"height": last.to_bytes(4, "big")}, last)
+        rig.link.offer("height", last.to_bytes(4, "big"), last)
         broker.resume()
         promised(lambda: numbers(subscriber)[-1:] == [last], BACK_S, "the last frame, last")
         promised(lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome")

@@ -9,7 +9,7 @@ import pytest
 from support.hostile_broker import HostileBroker
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto
 
-from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties, stream_head
+from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import Broker, Subscriber
@@ -28,7 +28,7 @@ def test_large_messages_are_refused_and_the_connection_stays(
         rig = Rig(broker.port).connect()
         rig.link.set_retained("info", bytes(12_000))
         for seq, size in enumerate((38_000, 12_000, SMALL_ENOUGH, 38_000, SMALL_ENOUGH)):
-            rig.link.offer({"height": bytes(size)}, seq)
+            rig.link.offer("height", bytes(size), seq)
             wait_until(lambda seq=seq: rig.counts("height").total() == seq + 1, 5, "settled")
         rig.link.reply(Request("status"), bytes(38_000))
         rig.link.reply(Request("status"), b"small")
@@ -53,10 +53,9 @@ def test_large_messages_are_refused_and_the_connection_stays(
 def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(tmp_path: Path) -> None:
     with Broker(tmp_path, more=("max_packet_size 1000",)) as broker:
         rig = Rig(broker.port).connect()
-        head = stream_head(f"{BASE}/contact", publish_properties("application/json", expiry_s=5))
-        around = packet_bytes(head, b"")
+        around = packet_bytes(f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5))
         for seq, extra in enumerate((-9, 0, 0, 1, 1, -1)):  # with QoS 1, then 0
-            rig.link.offer({"contact": bytes(1000 - around + extra)}, seq)
+            rig.link.offer("contact", bytes(1000 - around + extra), seq)
             wait_until(lambda seq=seq: rig.counts("contact").total() == seq + 1, 5, "settled")
         assert [outcome for _, outcome in rig.outcomes["contact"]] == [
             *["published"] * 3,
@@ -70,7 +69,7 @@ def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(tm
 def test_a_reason_code_that_paho_does_not_know() -> None:
     with HostileBroker(code=0xF0) as broker:
         rig = Rig(broker.port).connect()
-        rig.link.offer({"height": b"1"}, 0)
+        rig.link.offer("height", b"1", 0)
         wait_until(lambda: rig.counts("height")["refused"] == 1, 5, "refused")
         assert rig.link.counters() | {"connects": 1, "losses": 0} == rig.link.counters()
         assert rig.link.limited is None
