@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9024/none,other:9024/none,9024,other:9024"
+FITTED = "9024/none,other:9024/none,9024"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,8 @@ PAGES = {
     ),
     "fit": Page(
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
-        r"^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst)$",
+        r"^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*|ME still .*"
+        r"|half of each.*|depth|memory MB|fit s)$|\| 6 mm \||^[^|]*\| fast \|",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(

@@ -38,6 +38,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.types import F32, F64, U8, Frame, Need, Reconstruction
+from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import released
 
 # NumPy's arrays are seen, and OpenCV's where it returns them; what OpenCV frees within a call is not.
@@ -81,7 +82,7 @@ def unusable(model: SensorModel) -> dict[str, U8]:
         "white": good * 0 + 255,
         "saturated": camera_faults.gain(good, 6),
         "noisy": camera_faults.noise(good, 30, 1),
-        "torn": camera_faults.torn(good, good * 0, model.image_height_px // 2),
+        "torn": bad_pictures.torn(good, good * 0, model.image_height_px // 2),
         "another size": good[:-3],
     }
 

@@ -42,6 +42,7 @@ from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
 from tools.studies import command
+from tools.testbed.simulator import bad_pictures
 
 REFERENCES, PRESSES = 5, 24
 
@@ -199,7 +200,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
         "light x 0.75": lambda image: camera_faults.gain(image, 0.75),
         "light x 0.9 (compensated)": lambda image: camera_faults.gain(image, 0.9),
         "one side 40 % darker": lambda image: uneven(image, 0.4),
-        "blurred by 1.5 px": lambda image: camera_faults.defocus(image, 1.5),
+        "blurred by 1.5 px": lambda image: bad_pictures.defocus(image, 1.5),
     }.items():
         made = [replace(p, image=change(p.image)) if p is press else p for p in presses]
         yield f"{label} at one press", f"{name}", warnings(made)
@@ -234,7 +235,7 @@ def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, s
     yield "rezero: 2 px away", "taken", said([shifted(image, 2) for image in free])
     yield "rezero: 6 px away", "refused", said([shifted(image, 6) for image in free])
     yield "rezero: light x 0.4", "refused", said([camera_faults.gain(image, 0.4) for image in free])
-    yield "rezero: blurred by 3 px", "refused", said([camera_faults.defocus(image, 3) for image in free])
+    yield "rezero: blurred by 3 px", "refused", said([bad_pictures.defocus(image, 3) for image in free])
     for depth in (1.0, 2.0, 3.0):
         yield f"rezero: under {depth} mm", "refused", said([given.loaded(depth, 3, 2, 5)] * 3)
 

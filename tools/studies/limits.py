@@ -38,6 +38,7 @@ from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.tables import grouped, markdown, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command
+from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import released
 
 Rng = np.random.Generator
@@ -189,7 +190,7 @@ CHANGES: dict[str, Change] = {
     "light within 20 %": lambda image, _, rng: camera_faults.gain(image, float(rng.uniform(0.8, 1.2))),
     "one side dims by 10 to 40 %": _aged,
     "glare spot": _glare,
-    "warm-up": lambda image, m, rng: camera_faults.warm(image, m.row_c, m.col_c, float(rng.uniform(0, 1))),
+    "warm-up": lambda image, m, rng: bad_pictures.warm(image, m.row_c, m.col_c, float(rng.uniform(0, 1))),
     "moved by 1 px": lambda image, _, rng: camera_faults.shift(
         image, *((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
     ),
@@ -214,7 +215,7 @@ def _torn_row(model: SensorModel, rng: Rng) -> int:
 def _sideways(px: int) -> Change:
     def change(image: U8, model: SensorModel, rng: Rng) -> U8:
         scaled_px = round(px * model.image_width_px / 640)
-        return camera_faults.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
+        return bad_pictures.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
 
     return change
 
@@ -230,14 +231,14 @@ def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return camera_faults.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
+    return bad_pictures.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
 
 
 BEYOND: dict[str, Change] = {
     "light x0.3 to x3": _far_light,
     "moved by 3 to 7 px": _far_moved,
     "noise of 15 to 50 levels": _noisy(15, 50),
-    "blur of 1 to 5 px": lambda image, _, rng: camera_faults.defocus(image, float(rng.uniform(1, 5))),
+    "blur of 1 to 5 px": lambda image, _, rng: bad_pictures.defocus(image, float(rng.uniform(1, 5))),
     "torn: rows sideways by 60 px": _sideways(60),
     "torn: rows sideways by 200 px": _sideways(200),
     "torn: one row again and again": _repeated,

@@ -13,6 +13,7 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.types import U8, Disc
+from tools.testbed.simulator import bad_pictures
 
 DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)
 
@@ -60,7 +61,7 @@ def test_light_and_focus(reference: Look) -> None:
         dim = drift(reference, camera_faults.gain(image, 0.7))
         assert dim.light == pytest.approx(0.7, abs=0.02)
         assert text_of(dim.light_reason).endswith(" times the light")
-        assert "blurred or dirty" in text_of(drift(reference, camera_faults.defocus(image, 1.5)).light_reason)
+        assert "blurred or dirty" in text_of(drift(reference, bad_pictures.defocus(image, 1.5)).light_reason)
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
         assert "the light falls differently" in text_of(drift(reference, (image * ramp).astype(np.uint8)).light_reason)
 

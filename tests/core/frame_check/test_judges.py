@@ -22,6 +22,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.types import U8, Disc, Frame
+from tools.testbed.simulator import bad_pictures
 
 
 def judges(model: SensorModel) -> Judges:
@@ -35,9 +36,9 @@ def bad_frames(good: U8) -> dict[str, tuple[U8, str]]:
     return {
         "nearly black": (black + 5, "black"),
         "grey": (grey, "no_contrast"),
-        "half white": (camera_faults.torn(good, white, rows // 2), "saturated"),
-        "torn, grey below": (camera_faults.torn(good, grey, rows // 2), "torn surround light"),
-        "torn, black from three quarters": (camera_faults.torn(good, black, 3 * rows // 4), "torn surround"),
+        "half white": (bad_pictures.torn(good, white, rows // 2), "saturated"),
+        "torn, grey below": (bad_pictures.torn(good, grey, rows // 2), "torn surround light"),
+        "torn, black from three quarters": (bad_pictures.torn(good, black, 3 * rows // 4), "torn surround"),
         "noise": (camera_faults.noise(good, 30, 1), "noise"),
         "a third of the light": (camera_faults.gain(good, 0.3), "light"),
         "three times the light": (camera_faults.gain(good, 3), "light saturated"),
@@ -156,7 +157,7 @@ def test_figures_are_those_of_plain_float64(
     size: tuple[int, int], disc: Disc, gain: float, sigma: float, seed: int
 ) -> None:
     draw = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
-    reference = camera_faults.gain(camera_faults.defocus(draw, 2), 1.2)
+    reference = camera_faults.gain(bad_pictures.defocus(draw, 2), 1.2)
     grey = camera_faults.noise(camera_faults.gain(reference, gain), sigma, seed)
     mask = disc_mask(*size, disc)
     found = {each.what: each for each in Judges(reference, disc, None).picture.measured(grey)}

@@ -17,6 +17,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.types import F32, U8, Bool, Disc, Frame, Reconstruction
+from tools.testbed.simulator import bad_pictures
 
 ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
 TOUCHED = np.hypot(ROW, COL) < 20
@@ -91,13 +92,13 @@ def torn_text(grey: U8, reference: U8 = STRIPES, unloaded: bool = True) -> str:
 
 @pytest.mark.parametrize("row", [30, 75])
 def test_it_names_the_row_above_the_tear(row: int) -> None:
-    torn = camera_faults.torn(STRIPES, STRIPES, row, 8)
+    torn = bad_pictures.torn(STRIPES, STRIPES, row, 8)
     assert torn_text(torn).startswith(f"torn: row {row - 1} ")
     assert torn_text(torn, unloaded=False) == "", "a pressed pattern may look so"
 
 
 def test_an_untorn_frame_has_none_nor_one_whose_reference_looks_the_same() -> None:
-    torn = camera_faults.torn(STRIPES, STRIPES, 50, 8)
+    torn = bad_pictures.torn(STRIPES, STRIPES, 50, 8)
     assert torn_text(camera_faults.noise(STRIPES, 2, 2)) == torn_text(torn, torn) == ""
 
 

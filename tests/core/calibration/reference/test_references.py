@@ -49,6 +49,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.types import F32, U8, Calibration, Frame
+from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import OtherSensor, other_model
 
 pytestmark = pytest.mark.slow
@@ -124,7 +125,7 @@ def test_a_new_reference_keeps_everything_else() -> None:
         ([unloaded(), unloaded()[:-1]], "rejected the reference: size"),
         (loaded(3.0, 6.0), "rejected the reference: .*seems pressed"),
         ([camera_faults.shift(unloaded(), 0, 4)] * 3, "rejected the reference: the camera has moved by 4.0 px"),
-        ([camera_faults.defocus(unloaded(), 2.5)] * 3, "found 0.* times the old reference's contrast"),
+        ([bad_pictures.defocus(unloaded(), 2.5)] * 3, "found 0.* times the old reference's contrast"),
     ],
     ids=["none", "black", "size", "load", "moved", "blurred"],
 )
@@ -199,7 +200,7 @@ def test_a_still_picture_is_not_worth_a_renewal() -> None:
     "change",
     [
         lambda image, part: camera_faults.uneven(image, *DISC, 0.2 * part, 30),
-        lambda image, part: camera_faults.warm(image, *DISC[:2], 0.4 * part),
+        lambda image, part: bad_pictures.warm(image, *DISC[:2], 0.4 * part),
     ],
     ids=["one lamp ages", "warms up"],
 )
@@ -235,7 +236,7 @@ def moving(image: U8, part: float) -> U8:
     ("change", "codes"),
     [
         (faded, {ReasonCode.PATCH_CHANGED}),
-        (lambda image, part: camera_faults.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
+        (lambda image, part: bad_pictures.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
         (moving, {ReasonCode.CAMERA_SHIFT, ReasonCode.PATCH_CHANGED}),
         (lambda image, part: camera_faults.uneven(image, *DISC, 0.6 * part, 0), {ReasonCode.LIGHT_DRIFT}),
     ],
