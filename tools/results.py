@@ -76,7 +76,7 @@ PAGES = {
     ),
     "tradeoff": Page(
         {"": "tacshade_edge tradeoff --plot"},
-        r"^idle ms$",
+        r"^(networks|MiB|fps, 4 fingers)$|^(contact|cloud|sigma) \|",
         idle=True,
         drawn=("tradeoff.png",),
         own=("tacshade_edge/studies",),
