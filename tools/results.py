@@ -67,16 +67,17 @@ PAGES = {
     ),
     "limits": Page(
         {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
-        r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35) mm|1\.5 mm|[12457] mm)$"
+        r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35|6) mm|1\.5 mm|[12457] mm)$"
         r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
         r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a)[^|]*\| (fast|balanced|accurate) "
+        r"|saturated %|^(glare spot|after a release|dirty: specks|pressed) \| \d"
         r"|^(glare spot|moved by 1 px) \| \w+ \| 126|^not degraded$|^(nothing|light within|one side|warm-up"
         r"|moved by 1 px|noise of|pressed, |torn: (rows sideways by 200|one row|rows down|black)|black|white"
         r"|foreign: no skin|light x0)[^|]*\| \d+ \| ",
     ),
     "tradeoff": Page(
         {"": "tacshade_edge tradeoff --plot"},
-        r"^(networks|MiB|fps, 4 fingers)$|^(contact|cloud|sigma) \|",
+        r"^(networks|MiB|idle ms|fps, 4 fingers)$|^(contact|cloud|sigma) \|",
         idle=True,
         drawn=("tradeoff.png",),
         own=("tacshade_edge/studies",),
@@ -95,7 +96,7 @@ PAGES = {
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
         },
-        r"shear, no map|^(why$|Published)|^(References|Circle)"
+        r"shear, no map|^(why|frames|of more than 0.3 mm)$|^(Published|References|Circle)"
         r"|^light \| light of |of 500 \||^(fast|balanced) \| (tilt|shear) ",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),
