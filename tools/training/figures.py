@@ -68,8 +68,8 @@ def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
         touching = touching_part(contact)
         found, true = ((touching * each).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3) for each in (moved, shear))
         there = contact.sum((1, 2)) >= LEAST_CELLS
-        off += list((found - true).norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE))
-        size += list(true.norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE))
+        off += ((found - true).norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE)).tolist()
+        size += (true.norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE)).tolist()
     dragged = np.array(off)[np.array(size) > STILL_MM]
     values = {"shear_error_mm": np.mean(off), "median_mm": np.median(off), "dragged_median_mm": np.median(dragged)}
     return {name: round(float(value), 4) for name, value in values.items()}
