@@ -247,7 +247,8 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     counts = np.isfinite(labels).sum(axis=0)
     numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
     presses = np.array([len(np.unique(numbers[np.isfinite(column)])) for column in labels.T])
-    enough = (counts >= LEAST_ROWS) & (presses >= LEAST_GROUPS)
+    varied = np.array([len(np.unique(column[np.isfinite(column)])) > 1 for column in labels.T])
+    enough = (counts >= LEAST_ROWS) & (presses >= LEAST_GROUPS) & varied
     used = np.flatnonzero(enough)
     too_few = {QUANTITIES[q]: (int(counts[q]), int(presses[q])) for q in np.flatnonzero((counts > 0) & ~enough)}
     learnt = LearntTouch(None, ())

@@ -252,7 +252,7 @@ def _touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
             lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
         for name, (rows, groups) in one.too_few.items():
             found = f"found {rows} usable rows in {groups} groups"
-            expected = f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups"
+            expected = f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups, of different values"
             lines.append(f"{one.profile}: {name}: {found}, {expected}; left out")
     return tuple(lines)
 

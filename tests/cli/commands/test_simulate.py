@@ -34,7 +34,9 @@ def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytes
     words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--position", "-3", "1"]
     assert main([*words, "--drag", "2", "-1", "--twist", "8", "--tilt", "5", "0"]) == 0
     printed = capsys.readouterr()
-    assert printed.out == f"{tmp_path}: 2 images with ground truth, scenes.csv\n"
+    assert printed.out.startswith(
+        f"{tmp_path}: 2 images with ground truth, scenes.csv\nnext:\n  tacshade-edge simulate "
+    )
     assert only_progress(printed.err)
     none, cube = table(tmp_path / "scenes.csv")
     assert (none["object"], float(none["depth_max_mm"])) == ("none", 0.0)
