@@ -33,7 +33,9 @@ def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
 
         assert live.ask("profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
         live.until("info", profile="paper")
-        assert live.ask("profile", profile="slow")["reason_code"] == "unknown_profile"
+        for name in ("slow", "auto"):  # the settings give no budget
+            assert live.ask("profile", profile=name)["reason_code"] == "unknown_profile"
+        assert live.ask("replay", paused=True)["reason_code"] == "unavailable"
         live.ask("profile", profile="fast")
         assert live.ask("stitch", action="begin")["reason_code"] == "unavailable"
 

@@ -23,6 +23,7 @@ from tacshade_edge.daemon.robot import Robot as SerialRobot
 from tacshade_edge.daemon.session import MapRevision
 from tacshade_edge.daemon.session_worker import Sessions
 from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -371,3 +372,9 @@ def test_a_stop_does_not_wait_for_a_map(tmp_path: Path, ball: Reconstruction, mo
     assert open_session(tmp_path, "left") == tmp_path / "pad"  # for the next sessions
     go_on.set()
     robot.end()
+
+
+def test_a_press_that_waited_until_its_session_had_ended_is_refused(robot: Robot) -> None:
+    press: Any = None
+    with pytest.raises(DeviceError, match="the session has ended"):
+        robot.sessions._add(press, Frame(1, 0, 0, np.zeros((4, 4), np.uint8)), press)

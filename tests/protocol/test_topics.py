@@ -18,7 +18,7 @@ from support.published_sensor import calibration, health
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing import discovery_topics, encode_discovery
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.protocol import codec, messages, topics
+from tacshade_edge.protocol import codec, messages, topics, wire
 from tacshade_edge.protocol.broker_address import host_and_port
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
@@ -254,3 +254,12 @@ def test_what_is_none_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as") as caught:
         host_and_port(text)
     assert len(str(caught.value)) < 150
+
+
+def test_a_payload_of_another_kind_is_refused() -> None:
+    cloud = wire.encode_map_cloud(np.zeros((0, 3), np.float32), revision=1, calibration_crc32=0, t_ns=0, wall_ns=0)
+    with pytest.raises(DecodeError, match="height: found a CloudMessage, expected a HeightMessage"):
+        topics.OF_SENSORS["height"].decode("height", cloud)
+    assert topics.decode_preview("preview", b"\xff\xd8\xff") == b"\xff\xd8\xff"
+    with pytest.raises(DecodeError, match="expected a JPEG image"):
+        topics.decode_preview("preview", b"GIF")
