@@ -184,8 +184,8 @@ def test_a_slip_is_reported_once_at_its_onset(calibration: Calibration, pictures
 
 
 def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: Any) -> None:
-    told: list[ContactEvent] = []
-    events = ContactEvents(lambda topic, payload: told.append(decode_contact_event(payload)))
+    sent: list[ContactEvent] = []
+    events = ContactEvents(lambda topic, payload: sent.append(decode_contact_event(payload)))
     free, touched = (
         make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image))
         for image in (pictures.free, pictures.touched)
@@ -201,17 +201,17 @@ def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: A
         *((1050, None), (1200, None), (1240, free), (1300, free), (1400, free), (1500, touched)),
     ):
         see(t_ms, result)
-    times = [(one.type, one.id, one.t_ns, one.start_ns, one.end_ns) for one in told]
+    times = [(one.type, one.id, one.t_ns, one.start_ns, one.end_ns) for one in sent]
     assert [(kind, which, *(t and t // 1_000_000 for t in ts)) for kind, which, *ts in times] == [
         ("new", 1, 50, 50, None),
         ("update", 1, 1050, 50, None),
         ("end", 1, 1300, 50, 1200),
         ("new", 2, 1500, 1500, None),
     ]
-    assert (told[0].depth_max_mm, told[0].objects, told[0].slip, told[0].wall_ns) == (None, None, None, 7)
-    assert (told[1].depth_max_mm, told[1].slip, told[1].objects) == (told[2].depth_max_mm, 2, 1) == (9.0, 2, 1)
-    assert told[3].volume_mm3 == pytest.approx(touched.volume_mm3)
-    assert (told[3].depth_max_mm, told[3].slip) == (touched.objects[0].depth_max_mm, None)
+    assert (sent[0].depth_max_mm, sent[0].objects, sent[0].slip, sent[0].wall_ns) == (None, None, None, 7)
+    assert (sent[1].depth_max_mm, sent[1].slip, sent[1].objects) == (sent[2].depth_max_mm, 2, 1) == (9.0, 2, 1)
+    assert sent[3].volume_mm3 == pytest.approx(touched.volume_mm3)
+    assert (sent[3].depth_max_mm, sent[3].slip) == (touched.objects[0].depth_max_mm, None)
 
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"

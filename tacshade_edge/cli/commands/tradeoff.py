@@ -165,8 +165,9 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     model, layout = found[0].at(found[0].values)
     if isinstance(layout, lattice.Tips):
         layout = lattice.Tips(layout.px * times + (times - 1) / 2)
-    at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px", "blur_px"), calibration
-    model = replace(model, **{name: getattr(identify.base_model(whole), name) for name in at})
+    at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px"), calibration
+    seen = {name: getattr(identify.base_model(whole), name) for name in at}
+    model = replace(model, blur_px=model.blur_px * times, **seen)
     make = partial(Twin, model, found[0].kind, layout, identify.seen_light(whole)[0])
     sensor = make()
     greys = [to_grey(sensor.frame((), REFERENCE_NOISE + k).image) for k in range(REFERENCES)]

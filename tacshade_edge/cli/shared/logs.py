@@ -87,8 +87,9 @@ class Limit:
         return True
 
     def _is_too_many(self, text: Text) -> bool:
-        alike = sum(key[:2] == text[:2] for key in self._kinds)
-        return text not in self._kinds and (alike >= _TEXTS_MAX or len(self._kinds) >= _KINDS_MAX)
+        if text in self._kinds:
+            return False
+        return len(self._kinds) >= _KINDS_MAX or sum(key[:2] == text[:2] for key in self._kinds) >= _TEXTS_MAX
 
     def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
         """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
