@@ -36,7 +36,6 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         reason_code=code_of(result.reason),
         degraded_code=code_of(result.degraded),
         axis=rounded_triple(hand_T_sensor.rotation[:, 2]),
-        margin=_rounded(min((o.margin for o in result.objects if o.margin is not None), default=None)),
         objects=objects,
     )
 

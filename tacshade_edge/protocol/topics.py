@@ -313,8 +313,7 @@ class Finger:
     `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. The codes are those of
     `reasons.ReasonCode`, empty when all is well. `t_ns` is the capture time of its frame, on the clock that all fingers
     share, `seq` its number, `age_ms` its age when the hand published it, `axis` the finger's z axis: shear is
-    perpendicular to it, twist is about it. These are None if the report is not from a frame. `margin` is the smallest
-    of its objects, 1 firm to 0 sliding; None without contact, or if no shear is reported. `objects` are the largest
+    perpendicular to it, twist is about it. These are None if the report is not from a frame. `objects` are the largest
     first, at most `OBJECTS_MAX`.
     """
 
@@ -325,7 +324,6 @@ class Finger:
     reason_code: str = ""
     degraded_code: str = ""
     axis: Triple | None = None
-    margin: Annotated[float, Meta(ge=0, le=1)] | None = None
     objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
 
 

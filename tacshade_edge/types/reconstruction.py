@@ -72,8 +72,7 @@ class TouchedObject:
     of the plane through its points, away from the camera. `shear_mm` is the mean shear of its skin (None if the solver
     reports none), `twist_deg` the angle about z, from x towards y, of that skin's rotation (None also for a tiny
     contact), `strain_mm` the RMS of the rest, 0 for skin that is held. None for a single image: `id`, the same while
-    the object touches, `slip`, `slip_mm_s`, the speed of its imprint over the skin, and `margin` before it slips, from
-    1 (firm) to 0.
+    the object touches, `slip`, and `slip_mm_s`, the speed of its imprint over the skin.
     """
 
     label: int
@@ -88,7 +87,6 @@ class TouchedObject:
     id: int | None = None
     slip: Slip | None = None
     slip_mm_s: float | None = None
-    margin: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,6 @@ def touching(make_result: Callable[..., Reconstruction]) -> Reconstruction:
             id=3,
             slip=Slip.PARTIAL,
             slip_mm_s=0.75,
-            margin=0.25,
         ),
         TouchedObject(2, (9.0, 9.0, 16.0), (1.0, 1.0, 0.5), 0.5, 1.5),
     )

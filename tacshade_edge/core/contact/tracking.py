@@ -1,13 +1,9 @@
-"""Track objects from frame to frame: a number for each while it touches, its slip, and its margin before it slips.
+"""Track objects from frame to frame: a number for each while it touches, and its slip.
 
 The mean of the touched skin's places in the reference, the imprint's place in the material, stands still while an
 object holds its skin, and moves with the speed of the slip when it slides. Friction drags the skin in the direction of
 the slide: an imprint that moves over undragged skin, or against its drag, belongs to a contact that grows or shrinks on
 one side. Skin that goes back faster than its depth explains is being unloaded: else a shaken object would seem to slip.
-
-On skin like independent springs (Winkler's foundation), normal load follows depth and tangential load shear: by
-Coulomb's law it slides at some ratio of the two, which shows when it slides; before that, `LIMIT` is assumed. A load
-borne without a slide shows a higher limit, if it was borne for a while or went back.
 """
 
 from __future__ import annotations
@@ -21,13 +17,7 @@ from operator import mul
 
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
-LIMIT = 0.65  # assumed ratio of mean shear to greatest depth at which a contact slides: a low one among simulated skins
-LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2  # least learned limit and least depth to divide by; less is noise
-FILTER_NS = 80_000_000  # time constant of the ratio's low pass
-SLIDE_NS = 60_000_000  # least duration of a slide: a shaken object seems to slide for a frame or two
-WENT_BACK = 0.85  # if the ratio falls below this part of its peak without a slide, the peak was borne
-BORNE_NS, BEYOND = 2_000_000_000, 1.5
-"""A ratio held this long without a slide was borne too; before any slide, the limit is assumed this factor above it."""
+LEAST_DEPTH_MM = 0.2  # to divide by; less is noise
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)  # of a speed; the shortest that stands out of the noise shows a slip
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0  # least speed of the imprint over the material that is a slip
@@ -39,47 +29,6 @@ FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
 PARTIAL_STRAIN = 0.12  # ratio of strain to shear above which only part of the contact holds
 PARTIAL_MM = 0.15
 REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
-
-
-@dataclass(slots=True)
-class Grip:
-    """The hold on one object; `limit` is the ratio at which it slides: after a slide, the greatest of that or borne
-    since.
-    """
-
-    limit: float = LIMIT
-    _ratio: float = 0.0
-    _t_ns: int | None = None
-    _since_ns: int | None = None  # time at which the slide began
-    _slides: bool = False
-    _beyond: float = BEYOND
-    _peak: float = 0.0  # greatest ratio since the last one that went back
-    _lately: deque[tuple[int, float]] = field(default_factory=deque)  # times and ratios of the last `BORNE_NS`
-
-    def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
-        """Update the hold with a frame; return the margin from 1 (firm) to 0 (the whole contact slides, or would)."""
-        ratio = math.hypot(*shear_mm) / max(depth_mm, LEAST_DEPTH_MM)
-        if self._t_ns is None or t_ns <= self._t_ns:
-            self._ratio, self._since_ns = ratio, None
-            self._lately.clear()
-        else:
-            self._ratio += (ratio - self._ratio) * -math.expm1((self._t_ns - t_ns) / FILTER_NS)
-        self._t_ns = t_ns
-        self._since_ns = None if slip is not Slip.FULL else t_ns if self._since_ns is None else self._since_ns
-        slid, self._slides = self._slides, self._since_ns is not None and t_ns - self._since_ns >= SLIDE_NS
-        if self._slides:
-            self.limit = max(self._ratio, self.limit if slid else LEAST_LIMIT)
-            self._beyond, self._peak = 1.0, 0.0
-            self._lately.clear()
-            return 0.0
-        self._lately.append((t_ns, self._ratio))
-        self._peak = max(self._peak, self._ratio)
-        if self._ratio < WENT_BACK * self._peak:
-            self.limit = max(self.limit, self._beyond * self._peak)
-            self._peak = self._ratio
-        while t_ns - self._lately[0][0] >= BORNE_NS:
-            self.limit = max(self.limit, self._beyond * self._lately.popleft()[1])
-        return max(0.0, 1 - self._ratio / self.limit)
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
@@ -98,7 +47,6 @@ class _Track:
     seen: _Seen = field(default_factory=deque)  # time, the imprint's place in the material, the contact's place, depth
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
-    grip: Grip = field(default_factory=Grip)
 
 
 class ContactTracker:
@@ -110,7 +58,7 @@ class ContactTracker:
 
     def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
         """Give a frame's objects, which have shear, a number that is never used again, slip, its speed (None until
-        known), margin.
+        known).
         """
         left, followed = list(self._tracks), []
         for touched in objects:
@@ -140,8 +88,7 @@ def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject
     slides, speed = _slide(track.seen, track.noise_mm2, shear_mm)
     partly = (touched.strain_mm or 0.0) > max(PARTIAL_MM, PARTIAL_STRAIN * math.hypot(*shear_mm))
     slip = Slip.FULL if slides else Slip.PARTIAL if partly else Slip.STICK
-    margin = track.grip.step(t_ns, shear_mm, depth_mm, slip)
-    return replace(touched, id=track.number, slip=slip, slip_mm_s=speed, margin=margin)
+    return replace(touched, id=track.number, slip=slip, slip_mm_s=speed)
 
 
 def _noise_mm2(seen: _Seen, known_mm2: float) -> float:

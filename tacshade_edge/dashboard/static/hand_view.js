@@ -122,9 +122,9 @@ export class Whole {
     $("whole-state").dataset.level = works ? levelOf(state) : "bad";
     $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what you see is old.` : stale ? "This hand publishes nothing: what you see is old." : `${this.shown}: ${state}`;
     for (const [name, { caption, figure, map }] of this.fingers) {
-      const { state = "away", reason_code = "", objects = [], margin } = this.message.fingers[name] ?? {}, [greatest] = objects;
+      const { state = "away", reason_code = "", objects = [] } = this.message.fingers[name] ?? {}, [greatest] = objects;
       const depth = greatest && map?.flags & CONTACT ? `${number(greatest.depth_max_mm, 2)} mm` : `${state}${reason_code ? `: ${reason_code}` : ""}`;
-      const lines = [depth, SLIPS[Math.max(...objects.map(({ slip }) => slip ?? -1))] ?? "", number(margin, 2) && `margin ${number(margin, 2)}`], key = lines.join();
+      const lines = [depth, SLIPS[Math.max(...objects.map(({ slip }) => slip ?? -1))] ?? ""], key = lines.join();
       figure.classList.toggle("is-away", state !== "contact" && state !== "free");
       if (caption.dataset.key !== key) caption.replaceChildren(element("b", { textContent: name }), ...lines.map((line) => element("span", { textContent: line })));
       caption.dataset.key = key;

@@ -148,7 +148,6 @@ def _finger(finger: Finger) -> dict[str, Any]:
     return {
         "state": finger.state,
         "seq": finger.seq,
-        "margin": finger.margin,
         "depth_max_mm": None if greatest is None else greatest.depth_max_mm,
         "slip": None if greatest is None else greatest.slip,
     }
