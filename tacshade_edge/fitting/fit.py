@@ -101,10 +101,12 @@ MOST_UNEXPLAINED = 0.75
 """Greatest part of the reference's pattern (RMS) that a print may leave unexplained."""
 UNEXPLAINED_ALONE = 0.4
 """The same without presses, which would show whether the networks of a wrong print are worse."""
-PARTS = (0.5, 0.25, 0.75, 1.0)
-"""Parts of the way from the shipped weights to the trained ones. Weights between them keep what the shipped network
-knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022). Presses choose among
-them; the first is taken without."""
+PARTS = (0.25, 0.5, 0.75, 1.0)
+"""Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
+what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+"""
+PART_ALONE = {"accurate": 0.25, SHEAR: 0.25, "balanced": 0.5, "fast": 0.5}
+"""The part without presses that judge: less for networks that know other skins better."""
 LIKELY = 1.04
 """A kind of print that leaves at most this many times the best one's part unexplained belongs to the cloud. Kinds that
 leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
@@ -325,7 +327,7 @@ def _judged(
     if name != SHEAR and presses:
         before = on_presses(calibration, PROFILES[name], load_network(name, None), presses)
     if before is None or not before.errors_mm:
-        made = part_of_the_way(PARTS[0])
+        made = part_of_the_way(PART_ALONE[name])
         return made, NetworkReport(name, shipped_mm, made.error_mm)
     tried = []
     for part in PARTS:

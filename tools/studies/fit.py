@@ -41,7 +41,7 @@ from tacshade_edge.core.depth.sigma import INTERVAL_90
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.fitting.fit import fit
-from tacshade_edge.fitting.identify import PARAMETERS
+from tacshade_edge.fitting.identify import PARAMETERS, identify
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
@@ -223,6 +223,16 @@ def drawing(model: SensorModel) -> dict[str, float]:
     return {"pitch_mm": model.pitch_mm, **sizes}
 
 
+def sizes_off_pct(calibration: Calibration, model: SensorModel) -> dict[str, float]:
+    """By how much the likeliest print in the reference is too large or too small."""
+    best = identify(calibration)[0]
+    return {
+        key.removeprefix("pin_").removesuffix("_pitches").replace("_", " "): 100
+        * (value * best.base.pitch_mm / (getattr(model, key) * model.pitch_mm) - 1)
+        for key, value in zip(PARAMETERS[:3], best.values[:3], strict=True)
+    }
+
+
 def measured(case: str, keep: Path | None) -> dict[str, object]:
     """Calibrate, fit and judge a case; keep the calibration that the user would have."""
     text, _, presses = case.partition("/")
@@ -245,6 +255,7 @@ def measured(case: str, keep: Path | None) -> dict[str, object]:
         "fit_s": fit_s,
         "memory_mb": memory_mb,
         "found": fitted.found,
+        "sizes_off_pct": sizes_off_pct(result.calibration, sensor.model),
         "networks": [asdict(report) for report in fitted.networks],
         "reports": {report.name: report.kept for report in fitted.networks},
         "cost": cost(sensor, calibrations),
@@ -351,7 +362,7 @@ def main() -> None:
     parser.add_argument("--cases", default=CASES, help="sensors, with /balls for balls alone or /none for no presses")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     args = parser.parse_args()
-    accurate, drags, costs, of_cases = [], [], [], []
+    accurate, drags, costs, of_cases, prints = [], [], [], [], []
     for case in args.cases.split(","):
         found = of_case(case, args.folder)
         print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
@@ -359,6 +370,8 @@ def main() -> None:
         of_cases.append((found["reports"], rows))
         accurate += accuracy(case, found["reports"], rows)
         drags += dragged(case, rows)
+        sizes: dict[str, float] = found["sizes_off_pct"]
+        prints.append([case, *(f"{off:+.0f}" for off in sizes.values())])
         both = [found["cost"]["shipped"], found["cost"]["fitted"]]
         cells = [
             f"{each[key]:.{digits}f}"
@@ -382,6 +395,8 @@ def main() -> None:
     print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
     print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "shear off mm")], drags))
+    print("\nThe print that the reference shows, off by %\n")
+    print(markdown(["sensor", *sizes], prints))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
     print(markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs))
 

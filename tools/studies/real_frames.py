@@ -225,6 +225,15 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
         (profile, a.quantity, str(a.frames), f"{a.rank_correlation:.2f}", f"{a.error:.2f}")
         for a in agreements(rows, known)
     ]
+    depths = [
+        (row.depth_mm, labels["depth_mm"])
+        for row, labels in zip(rows, known, strict=True)
+        if not row.refused and row.contact and "depth_mm" in labels
+    ]
+    if depths:
+        off_mm = np.subtract(*np.transpose(depths))
+        error_mm = np.abs(off_mm - np.median(off_mm)).mean()
+        table.append((profile, "depth, one offset", str(len(depths)), "-", f"{error_mm:.2f}"))
     pairs = [
         ((row.shear_x_mm, row.shear_y_mm), (labels["shear_x_mm"], labels["shear_y_mm"]))
         for row, labels in zip(rows, known, strict=True)
@@ -237,7 +246,16 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
     return table
 
 
-def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
+def fitted(calibration: Calibration) -> Calibration:
+    """The calibration with the networks fitted to its reference alone; print what was found."""
+    from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
+
+    made = fit(calibration, (), lambda _: None)
+    print("\n".join((*made.found, *(network.line for network in made.networks), "")))
+    return made.calibration
+
+
+def report(name: str, frames: list[RealFrame], profiles: Sequence[str], fits: bool) -> None:
     """Measure a set and print its tables."""
     candidates, sensor = reference_candidates(frames), SENSORS.get(name, SENSOR)
     tried = [calibrated_from(sensor, path) for path in candidates]
@@ -251,6 +269,7 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
         print("The first is taken all the same, as by `--allow-loaded-reference`.")
     disc = calibration.geometry.disc
     print(f"Circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px.\n")
+    calibration = fitted(calibration) if fits else calibration
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
     all_seen: dict[str, list[Seen]] = {profile: [] for profile in profiles}
@@ -288,10 +307,11 @@ def main() -> int:
     parser.add_argument("clone", type=Path)
     parser.add_argument("--profile", nargs="+", choices=PROFILES, default=PROFILES)
     parser.add_argument("--frames", type=int, default=500, metavar="N", help="of the set, evenly (500)")
+    parser.add_argument("--fit", action="store_true", help="the networks to the reference")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     try:
-        report(args.set, thinned(SETS[args.set](args.clone), args.frames), args.profile)
+        report(args.set, thinned(SETS[args.set](args.clone), args.frames), args.profile, args.fit)
     except (ConfigError, DecodeError) as error:
         print(f"real_frames.py: {error}", file=sys.stderr)
         return 1

@@ -45,7 +45,7 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
 }
 """Ranges from which domes are drawn. Nobody evaluates a network on ``final`` before all work on networks is done."""
 
-FIRST_SEED = {"working": 31000, "final": 39000}
+FIRST_SEED = {"working": 31000, "final": 39100}
 """Seeds of the sensors' print, camera and light; no other family uses them."""
 
 

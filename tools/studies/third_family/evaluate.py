@@ -2,10 +2,10 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40 [--fit]]
+    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40] [--fit]
 
 FOLDER contains the solved mechanics (solve.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
-with ``--presses``, on presses, to which ``--fit`` fits the networks. ``--out`` writes a row for each frame
+with ``--presses``, on presses; ``--fit`` fits the networks to these. ``--out`` writes a row for each frame
 and profile to third-family.csv; ``--pictures`` writes PNG frames.
 """
 
@@ -187,12 +187,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ways", type=int, default=6)
     parser.add_argument("--states", type=Path, required=True, help="what solve.py wrote")
     parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
-    parser.add_argument("--fit", action="store_true", help="the networks to these presses")
+    parser.add_argument("--fit", action="store_true", help="the networks to these and the references")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args(arguments)
-    if options.fit and not options.presses:
-        parser.error("--fit needs --presses")
     wanted = (("", options.ways), ("press", options.presses))
     own = ((sensor, what, k) for sensor in range(options.sensors) for what, count in wanted for k in range(count))
     if missing := [path for at in own if not (path := kept_file(options.states, options.range, *at)).exists()]:
