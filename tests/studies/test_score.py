@@ -86,10 +86,11 @@ def test_a_missed_contact_and_a_phantom() -> None:
     missed = score(LABEL, truth_of(something), nothing)
     assert (missed.contact, missed.sd_pct, missed.iou, missed.depth_error_pct) == (False, 0, 0, -100)
     assert math.isnan(missed.me_mm)
-    phantom = score(LABEL, KnownTruth(NOTHING, 0.0, None), something)
-    assert phantom.contact
-    assert phantom.found_depth_mm > 0
-    assert all(math.isnan(v) for v in (phantom.me_mm, phantom.sd_pct, phantom.iou, phantom.depth_error_pct))
+    for known in (NOTHING, truth_of(something).points_mm):  # nothing touches, or without any depth
+        phantom = score(LABEL, KnownTruth(known, 0.0, None), something)
+        assert phantom.contact
+        assert phantom.found_depth_mm > 0
+        assert all(math.isnan(v) for v in (phantom.me_mm, phantom.sd_pct, phantom.iou, phantom.depth_error_pct))
 
 
 def on_grid(contact: Bool, row0: float, col0: float, step: float) -> HeightMap:

@@ -162,7 +162,7 @@ class Row:
 
 def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
     """Compare a reconstruction with its frame's ground truth."""
-    touched, nan = len(truth.points_mm) > 0, math.nan
+    touched, nan = len(truth.points_mm) > 0 and truth.depth_max_mm > 0, math.nan
     cloud = score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm) if touched else None
     contact = truth.contact_on(result.height)
     return Row(

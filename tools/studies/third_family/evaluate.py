@@ -165,7 +165,7 @@ FIGURES: dict[str, Callable[[Sequence[Judged]], str]] = {
     "refused": lambda some: str(sum(bool(row.refused) for row in some)),
     "missed": lambda some: str(sum(not row.refused and not row.cells for row in some)),
     "ME mm": lambda some: f"{np.mean([row.me_mm for row in _found(some)]):.3f}",
-    "SD %": lambda some: f"{np.mean([row.sd_pct for row in some if not row.refused]):.1f}",
+    "SD %": lambda some: f"{np.nanmean([row.sd_pct for row in some if not row.refused]):.1f}",
     "depth off %": lambda some: f"{np.median([_depth_off_pct(row) for row in _found(some)]):.0f}",
     "shear off mm": lambda some: f"{np.nanmedian([row.shear_error_mm for row in _found(some)]):.2f}",
     "in the 90 % interval %": lambda some: f"{_covered_pct(_found(some)):.1f}",
