@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Literal
 
 import cv2
 import msgspec
@@ -137,21 +137,25 @@ class Publisher(FrameObserver):
             return
         changed = result.contact != self._contact
         self._contact = result.contact
+        # All are encoded first, and handed over last: the link's thread then does not take turns with this one.
+        payloads: list[tuple[str, bytes]] = []
+        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
+        taken = wire.Taken(calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us)
         height_goes = changed or (result.contact and self.has_listener("height"))
         if height_goes:
-            self._send("height", wire.encode_height, result, seen)
+            payloads.append(("height", wire.encode_height(result, **taken)))
         if result.contact and (changed or self.has_listener("cloud")):
-            self._send("cloud", wire.encode_cloud, result, seen)
+            payloads.append(("cloud", wire.encode_cloud(result, **taken)))
         for stream, encode, grid in (
             ("shear", wire.encode_shear, result.shear_mm),
             ("sigma", wire.encode_sigma, result.sigma_mm),
         ):
             if grid is not None and (result.contact or changed) and self.has_listener(stream):
-                self._send(stream, encode, result, seen)
+                payloads.append((stream, encode(result, **taken)))
         touch_ended = result.touch is None and not result.contact and (changed or self._touched)
         self._touched = result.touch is not None
         if (self._touched or touch_ended) and self.has_listener("touch"):
-            self.offer("touch", messages.encode_touch(result), result.seq)
+            payloads.append(("touch", messages.encode_touch(result)))
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
@@ -160,15 +164,12 @@ class Publisher(FrameObserver):
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
         if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
-            self.offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
+            payloads.append(("contact", messages.encode_contact(result, fps=self.fps)))
         if not height_goes:
             without: FrameOutcome = "without_contact" if result.valid else "invalid"
             self.settle(result.seq, "unasked" if result.contact else without)
-
-    def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
-        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
-        pose = {"pose": seen.frame.pose, "pose_error_us": seen.frame.pose_error_us}
-        self.offer(stream, encode(result, calibration_crc32=crc32, **pose), result.seq)
+        for stream, payload in payloads:
+            self.offer(stream, payload, result.seq)
 
 
 BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
@@ -183,26 +184,29 @@ class ContactEvents(FrameObserver):
     def __init__(self, publish_event: Callable[[str, bytes], None]) -> None:
         self._publish_event = publish_event
         self._count = self._touched_ns = self._sent_ns = 0
-        self._open: ContactEvent | None = None
+        self._start_ns: int | None = None
+        self._greatest: dict[str, Any] = {}
 
     def see(self, seen: FrameResult) -> None:
         frame, result = seen.frame, seen.reconstruction
         if result is None or result.contact:
             self._touched_ns = frame.t_ns
-            event = self._open or ContactEvent(type="new", id=self._count + 1, t_ns=frame.t_ns, start_ns=frame.t_ns)
-            self._count = event.id
+            new = self._start_ns is None
+            if new:
+                self._start_ns, self._count, self._greatest = frame.t_ns, self._count + 1, {}
             if result is not None:
-                event = messages.with_greatest(event, result)
-            if event.type == "new" or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
-                self._send(event, frame)
-            self._open = replace(event, type="update")
-        elif self._open is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
-            self._send(replace(self._open, type="end", end_ns=self._touched_ns), frame)
-            self._open = None
+                for name, value in messages.event_values(result).items():
+                    self._greatest[name] = max(self._greatest.get(name, value), value)
+            if new or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
+                self._send("new" if new else "update", frame)
+        elif self._start_ns is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
+            self._send("end", frame, end_ns=self._touched_ns)
+            self._start_ns = None
 
-    def _send(self, event: ContactEvent, frame: Frame) -> None:
+    def _send(self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None) -> None:
         self._sent_ns = frame.t_ns
-        event = replace(event, t_ns=frame.t_ns, wall_ns=frame.wall_ns)
+        values = {**self._greatest, "t_ns": frame.t_ns, "wall_ns": frame.wall_ns, "start_ns": self._start_ns}
+        event = ContactEvent(type=type_, id=self._count, end_ns=end_ns, **values)
         self._publish_event("event/contact", encode_json(event))
 
 

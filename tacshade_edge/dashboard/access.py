@@ -107,7 +107,9 @@ class Login:
         guess = offered.encode(errors="surrogateescape")
         if hmac.compare_digest(guess, expected):
             if token is None:
-                self._remember(browser)
+                if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:
+                    del self._browsers[next(iter(self._browsers))]
+                self._browsers[browser] = None
             return None
         if tries is None:
             if len(self._tries) >= _ADDRESSES_MAX:
@@ -118,8 +120,3 @@ class Login:
             tries.wrong += 1
             self.wrong += 1
         return HTTPStatus.UNAUTHORIZED
-
-    def _remember(self, browser: str) -> None:
-        if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:
-            del self._browsers[next(iter(self._browsers))]
-        self._browsers[browser] = None

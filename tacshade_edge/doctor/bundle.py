@@ -44,9 +44,10 @@ class Seen:
 
 def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
     """Write the zip file whole, with the latest frame, which may be private, only if asked. Raises DeviceError."""
+    installed = {each.name: each.version for each in importlib.metadata.distributions()}
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
-        "versions.json": _json(_versions()),
+        "versions.json": _json({**board_facts(Machine()), "packages": dict(sorted(installed.items()))}),
         "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.daemon.published.items())}),
         "log.txt": _log(),
     }
@@ -70,11 +71,6 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _LEFT_OUT)
     return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
-
-
-def _versions() -> dict[str, Any]:
-    installed = {each.name: each.version for each in importlib.metadata.distributions()}
-    return {**board_facts(Machine()), "packages": dict(sorted(installed.items()))}
 
 
 def _without_user(settings: Settings) -> Settings:

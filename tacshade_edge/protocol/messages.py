@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.topics import Contact, ContactEvent, Info, InfoGeometry, SlipEvent, TouchNumbers
+from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent, TouchNumbers
 from tacshade_edge.protocol.wire_format import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
@@ -86,17 +86,11 @@ def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
     return encode_json(slip)
 
 
-def with_greatest(event: ContactEvent, result: Reconstruction) -> ContactEvent:
-    """The event of a contact with a further frame's values where these are greater."""
+def event_values(result: Reconstruction) -> dict[str, float]:
+    """The values of a frame whose greatest a `ContactEvent` has."""
     shear, slips = result.shear_of_contact_mm, [o.slip for o in result.objects if o.slip is not None]
-    values: dict[str, Any] = {
-        "depth_max_mm": result.depth_max_mm,
-        "volume_mm3": result.volume_mm3,
-        "objects": len(result.objects),
-    }
-    values |= ({"shear_mm": math.hypot(*shear)} if shear else {}) | ({"slip": max(slips)} if slips else {})
-    greatest = {name: max(getattr(event, name) or value, value) for name, value in values.items()}
-    return replace(event, **greatest)
+    values = {"depth_max_mm": result.depth_max_mm, "volume_mm3": result.volume_mm3, "objects": len(result.objects)}
+    return values | ({"shear_mm": math.hypot(*shear)} if shear else {}) | ({"slip": max(slips)} if slips else {})
 
 
 def encode_info(*, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any) -> bytes:

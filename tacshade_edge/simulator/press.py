@@ -105,11 +105,6 @@ def polygon(vertices: Sequence[tuple[float, float]]) -> Callable[[F64, F64], F64
     return outline
 
 
-def _revolve(name: str, profile: Callable[[F64, F64], F64]) -> Shape:
-    """Turn a profile in (distance from the axis, z) about the z axis."""
-    return Shape(name, lambda p: profile(_length(p[:, 0], p[:, 1]), p[:, 2]))
-
-
 def _union(name: str, *parts: tuple[Shape, float, float]) -> Shape:
     """Join shapes, each moved by (x, y)."""
 
@@ -129,10 +124,7 @@ def _ring() -> Shape:
 
 
 def _bar() -> Shape:
-    def sdf(p: F64) -> F64:
-        return _length(p[:, 0] - np.clip(p[:, 0], -7.0, 7.0), p[:, 1], p[:, 2] - 2.0) - 2.0
-
-    return Shape("bar", sdf)
+    return Shape("bar", lambda p: _length(p[:, 0] - np.clip(p[:, 0], -7.0, 7.0), p[:, 1], p[:, 2] - 2.0) - 2.0)
 
 
 def _edge() -> Shape:
@@ -160,7 +152,7 @@ def ridge(width_mm: float, length_mm: float = 12.0) -> Shape:
 
 def _cone() -> Shape:
     profile = polygon(((-7.0, 9.0), (0.0, 0.0), (7.0, 9.0), (7.0, 20.0), (-7.0, 20.0)))
-    return _revolve("cone", lambda rho, z: profile(rho, z - 0.8) - 0.8)
+    return Shape("cone", lambda p: profile(_length(p[:, 0], p[:, 1]), p[:, 2] - 0.8) - 0.8)
 
 
 OBJECTS: dict[str, Callable[[], Shape]] = {

@@ -13,7 +13,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -94,7 +94,9 @@ def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], d
         elif is_dataclass(value):
             inner = parts_of(value)
             meta, arrays = meta | inner[0], arrays | inner[1]
-        elif field.name in kept or value != _default(field):
+        elif field.name in kept or value != (
+            field.default if field.default_factory is MISSING else field.default_factory()
+        ):
             meta[field.name] = dict(value) if isinstance(value, Mapping) else value
     return meta, arrays
 
@@ -152,10 +154,6 @@ def _nested(kind: type, values: Mapping[str, Any], known: set[str]) -> dict[str,
         elif is_dataclass(hints[name]):
             made[name] = _nested(hints[name], values, known)
     return made
-
-
-def _default(field: Field[Any]) -> Any:
-    return field.default if field.default_factory is MISSING else field.default_factory()
 
 
 def _array(kind: type, value: object) -> object:

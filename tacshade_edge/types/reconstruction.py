@@ -130,6 +130,8 @@ class Reconstruction:
         """Mean shear over all cells of the contact, mm; None without contact or if the solver reports none."""
         if self.shear_mm is None or not self.contact:
             return None
+        if len(self.objects) == 1:
+            return self.objects[0].shear_mm
         touched = self.shear_mm.reshape(-1, 2).take(np.flatnonzero(self.height.contact), axis=0)
         x_mm, y_mm = touched.mean(axis=0, dtype=np.float64).tolist()
         return x_mm, y_mm

@@ -28,6 +28,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +37,20 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.topics import HandObjects, decode_hand
+from tacshade_edge.protocol.topics import HandObjects, decode_contact, decode_hand
 from tacshade_edge.studies.tables import markdown
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
 from tools.testbed.daemon_rig import cpu_s, pss_mb
 from tools.testbed.mqtt_rig import Broker
 
 PRESSED = 2
-TOPICS = ("height", "cloud", "contact", "health", "state")
+TOPICS = ("height", "cloud", "contact")
 HAND_ID = "bench"
 ROWS = ("hand", "objects", "apart", "null")
 
 
-def subscriber(port: int, names: list[str]) -> None:
-    """Decode every height map; print latencies in ms and each sensor's last ``health`` once all have stopped."""
+def subscriber(port: int, names: list[str], topics: list[str]) -> None:
+    """Decode each message of the first topic; print latencies in ms and the last counts once all have stopped."""
     latencies: dict[str, list[float]] = {name: [] for name in names}
     health: dict[str, Any] = {}
     own_ns: dict[tuple[str, int | None], int] = {}
@@ -63,13 +64,14 @@ def subscriber(port: int, names: list[str]) -> None:
         if topic == "objects":
             hand = decode_hand(bytes(message.payload))
             messages.append((time.monotonic_ns(), hand))
-        elif topic == "height":
-            height = wire.decode(message.payload)
-            own_ns[name, height.seq] = now_ns = time.monotonic_ns()
-            latencies[name].append((now_ns - height.t_ns) / 1e6)
+        elif topic == topics[0]:
+            frame = decode_contact(bytes(message.payload)) if topic == "contact" else wire.decode(message.payload)
+            own_ns[name, frame.seq] = now_ns = time.monotonic_ns()
+            latencies[name].append((now_ns - frame.t_ns) / 1e6)
         elif topic == "health":
-            health[name] = json.loads(message.payload)["frames"]
-        elif topic == "state" and message.payload == b"stopped":
+            known = json.loads(message.payload)
+            health[name] = known["frames"] | {"lost": known.get("source_dropped", 0)}
+        elif topic == "state" and message.payload in (b"stopped", b"offline"):
             left.discard(name)
             if not left:
                 done.set()
@@ -78,14 +80,15 @@ def subscriber(port: int, names: list[str]) -> None:
     client.on_message = on_message
     client.on_subscribe = lambda *_: print("ready", flush=True)
     client.connect("127.0.0.1", port)
-    topics = [f"{name}/{topic}" for name in names for topic in TOPICS]
-    client.subscribe([(f"tacshade/{topic}", 1) for topic in (*topics, f"hand/{HAND_ID}/objects")])
+    wanted = [f"{name}/{topic}" for name in names for topic in (*topics, "health", "state")]
+    client.subscribe([(f"tacshade/{topic}", 1) for topic in (*wanted, f"hand/{HAND_ID}/objects")])
     client.loop_start()
     done.wait()
     client.disconnect()
     client.loop_stop()
     ages_ms, later_ms = ages(messages, own_ns)
-    figures = {"objects_ms": ages_ms, "later_ms": later_ms, "messages": len(messages)}
+    rate = 1e9 * len(own_ns) / max(max(own_ns.values()) - min(own_ns.values()), 1) / len(names)
+    figures = {"objects_ms": ages_ms, "later_ms": later_ms, "messages": len(messages), "rate": rate}
     print(json.dumps({"latencies": latencies, "health": health, **figures}))
 
 
@@ -115,15 +118,18 @@ def family(pid: int) -> list[int]:
     return [pid, *map(int, found.split())]
 
 
-def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace) -> dict[str, Any]:
-    """Run one row's daemons for the given seconds and return the figures."""
+def measure(
+    row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace, pressed: int, topics: Sequence[str]
+) -> dict[str, Any]:
+    """Run one row's daemons for the given seconds and return the figures; the latencies are the first topic's."""
     words = [sys.executable, "-m", "tools.benchmarks.hand", "--role", ",".join(names), "--port", str(port)]
+    words += ["--topics", ",".join(topics)]
     listen = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert listen.stdout is not None
     assert listen.stdout.readline() == "ready\n"
-    kinds = ["contact" if k < PRESSED else "free" for k in range(len(names))]
+    kinds = ["contact" if k < pressed else "free" for k in range(len(names))]
     rings = [str(folder / f"{kind}.npy") for kind in kinds]
-    if row in ("hand", "objects"):
+    if row not in ("apart", "null"):
         commands = [[sys.executable, "-m", RING_DAEMON, str(folder / f"{row}.yaml"), str(args.fps), *rings]]
     else:
         program, ending = (RING_DAEMON, "npy") if row == "apart" else (NULL_DAEMON, "pickle")
@@ -153,12 +159,24 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
     for name in names:
         counts = frames[name]
         accounted &= counts["pending"] == 0
-        accounted &= counts["captured"] == sum(n for outcome, n in counts.items() if outcome != "captured")
-        accounted &= len(heard["latencies"][name]) == counts["published"]
+        accounted &= counts["captured"] == sum(
+            n for outcome, n in counts.items() if outcome not in ("captured", "lost")
+        )
+        accounted &= topics[0] != "height" or len(heard["latencies"][name]) == counts["published"]
     steady = sorted(ms for each in heard["latencies"].values() for ms in each[round(2 * args.fps) :])
     of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
     captured = sum(counts["captured"] for counts in frames.values())
-    found = {"memory_mb": memory, "cpu": cpu, **of, "max_ms": steady[-1], "captured": captured, "accounted": accounted}
+    lost = sum(counts[why] for counts in frames.values() for why in ("superseded", "failed", "lost"))
+    found = {
+        "lost": lost,
+        "rate": heard["rate"],
+        "memory_mb": memory,
+        "cpu": cpu,
+        **of,
+        "max_ms": steady[-1],
+        "captured": captured,
+        "accounted": accounted,
+    }
     if row == "objects":
         for what in ("objects", "later"):
             times_ms = sorted(heard[f"{what}_ms"][round(2 * args.fps) :])
@@ -174,11 +192,11 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row, start included")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
-    for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
+    for hidden, kind in (("--role", str), ("--port", int), ("--topics", str)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.role is not None:
-        subscriber(args.port, args.role.split(","))
+        subscriber(args.port, args.role.split(","), args.topics.split(","))
         return 0
     names = [f"finger{k}" for k in range(args.sensors)]
     with tempfile.TemporaryDirectory() as made:
@@ -202,7 +220,7 @@ def main() -> int:
             common += "recorder: {folder: recs}\nstitching: {folder: maps}\n"
             (folder / "hand.yaml").write_text(f"{common}sensors:\n{''.join(sensors)}")
             (folder / "objects.yaml").write_text(f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}")
-            results = {row: measure(row, folder, broker.port, names, args) for row in ROWS}
+            results = {row: measure(row, folder, broker.port, names, args, PRESSED, TOPICS) for row in ROWS}
     head = ["", "memory MB", "CPU cores", "p50 ms", "p99 ms", "max ms", "captured", "accounted"]
     rows = [
         [

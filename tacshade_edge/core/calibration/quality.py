@@ -47,13 +47,8 @@ def missing_coverage(presses: Sequence[PressObservation], geometry: Geometry) ->
     return tuple(line for line in lines if line)
 
 
-def _visible_mm(geometry: Geometry) -> float:
-    """Radius of the visible circle in its plane, mm."""
-    return geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
-
-
 def _missing_places(places: F64, geometry: Geometry) -> str:
-    visible_mm = _visible_mm(geometry)
+    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
     middle = places.mean(axis=0)
     rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
     reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"

@@ -91,7 +91,10 @@ class Preprocessor:
     @property
     def camera_grid(self) -> Grid:
         """`grid` in the camera's pixels."""
-        return grid_of_whole(self.grid) if self._halve else self.grid
+        grid = self.grid
+        if not self._halve:
+            return grid
+        return Grid(grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px)
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
         """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image; it may use `space`, uint8 (H,
@@ -172,11 +175,6 @@ def is_halved(calibration: Calibration, profile: Profile) -> bool:
 def halved_image(grey: U8) -> U8:
     """Means over 2x2 px, rounded half up, without the last row or column of an odd side; one of 1 px stays whole."""
     return grey if min(grey.shape) < 2 else halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
-
-
-def grid_of_whole(grid: Grid) -> Grid:
-    """Convert a grid on the halved image to one on the whole image."""
-    return Grid(grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px)
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:

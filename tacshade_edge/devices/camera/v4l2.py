@@ -159,12 +159,9 @@ class V4l2Source(Camera):
         """Grab the first frame and decide whether the driver's time stamps are CLOCK_MONOTONIC."""
         self._grab(capture)
         age_ns = time.monotonic_ns() - _kernel_stamp_ns(capture)
-        self._has_stamps = -self._period_stated_ns() <= age_ns < _STAMP_AGE_MAX_NS
+        self._has_stamps = -1e9 / max(float(self._settings["fps_stated"]), 1.0) <= age_ns < _STAMP_AGE_MAX_NS
         self._settings["time_stamps"] = "kernel" if self._has_stamps else "on arrival"
         self._settings["drops"] = "inferred from time stamps" if self._has_stamps else "not known"
-
-    def _period_stated_ns(self) -> float:
-        return 1e9 / max(float(self._settings["fps_stated"]), 1.0)
 
     def _grab(self, capture: cv2.VideoCapture) -> None:
         began_ns = time.monotonic_ns()

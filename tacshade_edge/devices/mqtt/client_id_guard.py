@@ -6,7 +6,6 @@ forever, so a daemon that finds another one waits until that is gone, and report
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
 import socket
@@ -106,9 +105,7 @@ class ClientIdGuard:
 
     def _hang_up(self) -> None:
         self._client.disconnect()
-        if (sock := self._client.socket()) is not None:
-            with contextlib.suppress(OSError):
-                sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
+        self._client.hang_up()
         while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
             pass
 

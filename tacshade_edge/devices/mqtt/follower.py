@@ -59,7 +59,8 @@ class Follower:
 
     def stop(self) -> None:
         """Disconnect."""
-        self._client.stop()
+        self._client.disconnect()
+        self._client.join()
 
     def _subscribe(self, topics: Collection[str]) -> None:
         # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its queue: of many

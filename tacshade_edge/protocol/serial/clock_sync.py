@@ -280,7 +280,10 @@ def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
     placed = [(float(t_ns - first_ns), float(delay_ns - base_ns)) for t_ns, delay_ns in points]
     hull: list[tuple[float, float]] = []
     for x, y in placed:
-        while len(hull) > 1 and _is_clockwise(hull[-2], hull[-1], (x, y)):
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):  # a turn to the left
+                break
             hull.pop()
         hull.append((x, y))
     middle = sum(x for x, _ in placed) / len(placed)
@@ -294,7 +297,3 @@ def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
     spread = above[len(above) // 2]
     slope_sigma = max(spread, TOLERANCE_NS) / max(placed[-1][0], BUCKET_NS)
     return _Line(first_ns, base_ns, rest, slope, min(slope_sigma, DRIFT_EXPECTED), 0.0, spread + ONE_WAY_LATENCY_NS)
-
-
-def _is_clockwise(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

@@ -184,7 +184,7 @@ class SerialLink:
         try:
             sample = decode_pose(raw)
         except DecodeError as error:
-            if raw[:1] == b"P" and _undamaged(raw):
+            if raw[:1] == b"P" and crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little"):
                 self._bad_pose(None, str(error), now_ns)
             else:
                 self.counts.damaged += 1
@@ -276,7 +276,3 @@ class SerialLink:
         else:
             self.counts.commands += 1
             yield command
-
-
-def _undamaged(raw: bytes) -> bool:
-    return crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")

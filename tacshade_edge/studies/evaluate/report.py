@@ -74,11 +74,6 @@ def figures(rows: Iterable[Row]) -> Figures:
     )
 
 
-def by_object(rows: Iterable[Row]) -> dict[str, Figures]:
-    """Figures of each object, in the order of the rows."""
-    return {name: figures(some) for name, some in tables.grouped((r for r in rows if r.true_points), "object").items()}
-
-
 def null_figures(rows: Iterable[Row]) -> NullFigures:
     """Count phantoms over rows without true contact."""
     some = [r for r in rows if not r.true_points]
@@ -141,7 +136,10 @@ def document(rows: Sequence[Row], settings: Mapping[str, Any]) -> dict[str, Any]
     summaries = {
         profile: {
             "all": asdict(figures(some)),
-            "objects": {name: asdict(found) for name, found in by_object(some).items()},
+            "objects": {
+                name: asdict(figures(of))
+                for name, of in tables.grouped((r for r in some if r.true_points), "object").items()
+            },
             "sensors": {name: asdict(figures(of)) for name, of in tables.grouped(some, "sensor").items()},
             "without_contact": asdict(null_figures(some)),
         }

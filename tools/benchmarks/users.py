@@ -1,0 +1,77 @@
+"""What `tradeoff` recommends to three users, and what the daemon then does.
+
+::
+
+    .venv/bin/python -m tools.benchmarks.users [--seconds 60]
+
+For each user, `tradeoff` prints the settings, and a daemon runs with them: every finger has a ring of images in memory,
+in which a ball goes in and out, and a subscriber decodes. `hand.py` describes the columns; the latency is that of the
+height map, of `contact` for the logger. Lost frames are superseded, failed, or dropped by the source.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from tacshade_edge.core.image.preprocess import halved_calibration
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.studies.tables import markdown
+from tools.benchmarks.daemon import KEPT, prepare
+from tools.benchmarks.hand import measure
+from tools.testbed.mqtt_rig import Broker
+
+USERS = {  # name: fingers, frames per second, outputs, topics
+    "everything": (1, 60, "", ("height", "cloud", "contact", "shear", "sigma", "touch", "event/#")),
+    "hand": (5, 30, "height,shear", ("height", "shear")),
+    "logger": (1, 10, "contact", ("contact",)),
+}
+
+
+def recommended(user: str) -> str:
+    """The block that `tradeoff` prints for a user."""
+    fingers, fps, outputs, _ = USERS[user]
+    words = ["--fingers", str(fingers), "--fps", str(fps), *(["--outputs", outputs] if outputs else [])]
+    command = [sys.executable, "-m", "tacshade_edge", "tradeoff", *words]
+    printed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
+    return printed[printed.rindex("\n\n") :].strip()
+
+
+def run(user: str, block: str, folder: Path, port: int, args: argparse.Namespace) -> list[str]:
+    """Run the daemon with a user's settings; return the row of the table."""
+    fingers, args.fps, _, topics = USERS[user]
+    prepare(folder, port, profile := yaml.safe_load(block)["profile"])
+    if half := "height_px" in block:
+        np.save(folder / "contact.npy", np.load(folder / "contact.npy")[:, ::2, ::2])
+    calibration = calibration_file.load(folder / "c.npz")
+    names = [f"{user}{k}" for k in range(fingers)]
+    for name in names:
+        calibration_file.save(folder / f"{name}.npz", halved_calibration(calibration) if half else calibration)
+    own = {name: f"{{calibration: {name}.npz, source: {{kind: simulated}}}}" for name in names}
+    text = f"profile: {profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nsensors:\n"
+    (folder / f"{user}.yaml").write_text(text + "".join(f"  {name}: {each}\n" for name, each in own.items()))
+    found = measure(user, folder, port, names, args, fingers, topics)
+    figures = [f"{found[key]:.1f}" for key in ("rate", "p50_ms", "p99_ms", "max_ms")]
+    return [user, profile, *figures, str(found["lost"]), f"{found['cpu']:.2f}", f"{found['memory_mb']:.0f}"]
+
+
+def main() -> None:
+    """Ask, run and print, one user after the other."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each daemon, start included")
+    args = parser.parse_args()
+    blocks = {user: recommended(user) for user in USERS}
+    with tempfile.TemporaryDirectory() as name, Broker(Path(name), more=KEPT) as broker:
+        rows = [run(user, block, Path(name), broker.port, args) for user, block in blocks.items()]
+    head = ["", "profile", "frames/s", "p50 ms", "p99 ms", "max ms", "lost", "CPU cores", "memory MB"]
+    print(markdown(head, rows), *blocks.values(), sep="\n\n")
+
+
+if __name__ == "__main__":
+    main()
