@@ -29,6 +29,11 @@ def escaped(text: str, chars_max: int = 1000) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def counted(count: int, noun: str) -> str:
+    """``1 frame``, ``2 frames``, ``2 presses``."""
+    return f"{count} {noun}{'' if count == 1 else 'es' if noun.endswith('s') else 's'}"
+
+
 def did_you_mean(text: object, names: Iterable[object]) -> str:
     """``; did you mean NAME?`` with the name nearest to `text`, or an empty string if none is near."""
     near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.quoting import escaped, quoted, shown
+from tacshade_edge.quoting import counted, escaped, quoted, shown
 from tacshade_edge.regular_files import named_file, read_regular
 from tacshade_edge.rigid import from_seven, turn, turned_rad
 from tacshade_edge.types import Need
@@ -142,3 +142,8 @@ def test_a_turn_gives_its_vector_back(axis: tuple[float, float, float], angle: f
     size = math.hypot(*axis)
     vector = np.array(axis) * (angle / size if size > 1e-3 else 0.0)
     np.testing.assert_allclose(turned_rad(turn(vector).rotation), vector, atol=1e-9)
+
+
+def test_a_noun_agrees_with_its_number() -> None:
+    assert [counted(k, "frame") for k in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
+    assert [counted(k, "press") for k in (1, 2)] == ["1 press", "2 presses"]

@@ -16,6 +16,7 @@ from tacshade_edge.capture.scale import ClockOffset, Press, Scale, find_offset, 
 from tacshade_edge.core.calibration.reference.references import block_means
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.quoting import counted
 from tacshade_edge.storage.tables.labels import LabelFolder, LabelRow
 from tacshade_edge.storage.tables.tables import number
 from tacshade_edge.types import F32, QUANTITIES, Frame
@@ -179,14 +180,14 @@ class LabelSession:
         self._rows = [row for row in self._rows if row.group != group]
         self._presses.pop(group, None)
         self.folder.write(self._with_force(), removed)
-        self.terminal.say(f"  removed press {group}: {len(removed)} pictures")
+        self.terminal.say(f"  removed press {group}: {counted(len(removed), 'picture')}")
 
     def _keep(self, rows: Sequence[LabelRow]) -> None:
         self._rows += rows
         written = self._with_force()
         self.folder.write(written)
         names = ", ".join(sorted({name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index))
-        self.terminal.say(f"  press {rows[0].group}: {len(rows)} pictures with {names or 'no quantity yet'}")
+        self.terminal.say(f"  press {rows[0].group}: {counted(len(rows), 'picture')} with {names or 'no quantity yet'}")
         if self._unposed:
             self.terminal.say(f"  some have no labels from the robot: {self._unposed}")
             self._unposed = ""

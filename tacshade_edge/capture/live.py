@@ -158,9 +158,7 @@ class Live:
                 return line
 
     def still_frame(self) -> Frame | None:
-        """Wait until the picture stands still and return that frame; None if the person typed a line first. Raises as
-        `frame`.
-        """
+        """Return the frame once the picture stands still; None if a line was typed first. Raises as `frame`."""
         self._past.clear()
         began_s, hinted = time.monotonic(), False
         while True:

@@ -18,6 +18,7 @@ from tacshade_edge.core.calibration.reference.references import block_means
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
+from tacshade_edge.quoting import counted
 from tacshade_edge.storage.tables.capture_folder import CaptureFolder, next_number
 from tacshade_edge.storage.tables.presses import BALL, Stated, known_press, stated
 from tacshade_edge.types import U8, Calibration, Frame
@@ -50,7 +51,8 @@ class Session:
     robot: RobotPlaces | None  # gives place and depth if a robot presses
 
     def __post_init__(self) -> None:
-        self._taken = self.folder.taken()
+        self._taken, self._planned = self.folder.taken(), tuple(self.plan)
+        self._again: list[Stated] = []  # presses to suggest before the plan's: rejected or undone
         for one in self._taken:
             if one.stated in self.plan:
                 self.plan.remove(one.stated)
@@ -73,7 +75,7 @@ class Session:
                 case ["undo", *numbers]:
                     self._undo(numbers)
                 case ["skip"]:
-                    del self.plan[:1]
+                    del (self._again or self.plan)[:1]
                 case words:
                     try:
                         self._press(words)
@@ -90,7 +92,7 @@ class Session:
         except ConfigError as error:
             self.terminal.say(f"cannot use this folder's references: {error}")
             return None
-        presses = "1 press" if len(self._taken) == 1 else f"{len(self._taken)} presses"
+        presses = counted(len(self._taken), "press")
         self.terminal.say(f"this folder already has {len(images)} references and {presses}")
         return unloaded
 
@@ -124,8 +126,9 @@ class Session:
 
     def _prompt(self) -> str:
         number = f"press {next_number(self._taken)}"
-        if self.plan:
-            return f"{number}, {len(self.plan)} planned presses left [{self.plan[0]}]:"
+        left = f", {counted(len(self.plan), 'planned press')} left" if self.plan else ""
+        if suggested := (*self._again, *self.plan):
+            return f"{number}{left} [{suggested[0]}]:"
         if name := self._at_robot():
             return f"{number} [{' '.join(name).strip()}, where the robot holds it]:"
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
@@ -139,7 +142,7 @@ class Session:
         self.folder.remove(self._taken, chosen[0])
         self._taken = [one for one in self._taken if one is not chosen[0]]
         if not self._at_robot():  # the robot may have moved since: the next press needs its new pose
-            self.plan.insert(0, chosen[0].stated)
+            (self.plan if chosen[0].stated in self._planned else self._again).insert(0, chosen[0].stated)
         self.terminal.say(f"  removed {chosen[0].image}")
 
     def _press(self, words: Sequence[str]) -> None:
@@ -149,8 +152,8 @@ class Session:
             return
         press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
         image = np.array(frame.image)
-        if press is asked and press not in self.plan:
-            self.plan.insert(0, press)  # until it is taken
+        if press is asked and press not in (*self._again, *self.plan):
+            self._again[:1] = [press]  # until it is taken, in place of one that was undone
         judged = self._check.judge(image)
         if judged.unusable:
             raise ConfigError(f"the picture is unusable: {judged.unusable}")
@@ -161,8 +164,9 @@ class Session:
             raise ConfigError("nothing touches the skin in the picture")
         added = self.folder.add(self._taken, image, press)
         self._taken = [*self._taken, added]
-        if press in self.plan:
-            self.plan.remove(press)
+        for suggested in (self._again, self.plan):
+            if press in suggested:
+                suggested.remove(press)
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self.terminal.say(f"  {added.image}: {press}{warning}")
         if question := self._check.question(known_press(added.image, image, press.row(), self.names)):
@@ -187,8 +191,8 @@ class Session:
         ConfigError.
         """
         if not words:
-            if self.plan:
-                return self.plan[0]
+            if suggested := (*self._again, *self.plan):
+                return suggested[0]
             if name := self._at_robot():
                 return name
             raise ConfigError("found an empty line, expected a line with an indenter")

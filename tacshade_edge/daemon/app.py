@@ -42,7 +42,7 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import codec, messages, requests
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import ProfileChosen, RequestResult
-from tacshade_edge.quoting import shown
+from tacshade_edge.quoting import counted, shown
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Document, digest, load
@@ -280,7 +280,7 @@ class App:
     def _give_up_frames(self, timeout_s: float) -> None:
         given_up = self.ledger.close(timeout_s)
         if given_up:
-            _log.warning("stopped without sending %d frames, which were still in progress", given_up)
+            _log.warning("stopped without sending %s still in progress", counted(given_up, "frame"))
 
     # Other threads call these: they count or enqueue and do nothing else.
 

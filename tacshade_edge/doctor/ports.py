@@ -15,6 +15,7 @@ from typing import Final
 
 from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
+from tacshade_edge.quoting import counted
 from tacshade_edge.settings import V4l2
 
 _PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
@@ -143,8 +144,8 @@ def judge_usb(port: Port, cameras: Sequence[V4l2]) -> Finding:
     """Judge whether the cameras fit through the port."""
     each = [bytes_s(camera) for camera in cameras]
     formats = ", ".join(dict.fromkeys(f"{c.fourcc} {c.width_px}x{c.height_px} at {c.fps}/s" for c in cameras))
-    count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
-    found = f"{port}: {count} with {formats}: about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
+    found = f"{port}: {counted(len(cameras), 'camera')} with {formats}: "
+    found += f"about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
     if fits(port, cameras):
         return ok("usb", found)
     if max(each) > port.most_bytes_s_of_one:

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
+from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.storage.pictures import height_png
 from tacshade_edge.types import F32, U16, Bool, Geometry, Pose, Reconstruction, TouchedObject, freeze
@@ -113,8 +114,7 @@ class Result:
         """The result in a line, for people."""
         what = self.reason or "no contact"
         if self.objects:
-            count = "1 object" if len(self.objects) == 1 else f"{len(self.objects)} objects"
-            what = f"{count}, deepest {self.depth_max_mm:.2f} mm"
+            what = f"{counted(len(self.objects), 'object')}, deepest {self.depth_max_mm:.2f} mm"
         return f"<Result {self.seq} of {self.profile}: {what}>"
 
     def _repr_html_(self) -> str:

@@ -176,9 +176,7 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """The pose of an object, and how far each finger is retracted along its own z axis, away from the object (empty:
-    none is).
-    """
+    """An object's pose, and how far each finger is retracted along its z axis, away from the object (empty: none)."""
 
     hand_T_object: Rigid
     back_mm: tuple[float, ...] = ()

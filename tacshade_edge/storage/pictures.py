@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.stitcher import Raster
-from tacshade_edge.quoting import encodable
+from tacshade_edge.quoting import counted, encodable
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap, Reconstruction
 
@@ -90,7 +90,7 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     top = max(float(np.nanmax(result.height.height_mm, initial=0.0)), 0.1)
     right = _coloured(result.height, (cols, rows), top)
     text = text_of(result.reason) or (
-        f"{result.profile}: {len(result.objects)} objects, deepest {result.depth_max_mm:.2f} mm"
+        f"{result.profile}: {counted(len(result.objects), 'object')}, deepest {result.depth_max_mm:.2f} mm"
         f"{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
         if result.contact
         else f"{result.profile}: no contact {text_of(result.degraded)}"

@@ -36,9 +36,7 @@ _DIGITS = {"twist_deg": 3, "slip_mm_s": 3}
 
 
 class RunWriter:
-    """Writes one run; a folder has a complete run or none, and an earlier run in it is removed at once. Raises
-    DeviceError.
-    """
+    """Writes one run; a folder has a whole run or none, and an earlier one is removed at once. Raises DeviceError."""
 
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
         self._folder = folder

@@ -51,7 +51,7 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
     with Broker(tmp_path) as broker, dashboard(f"127.0.0.1:{broker.port}", "--recordings", str(folder)) as address:
         opened(page, address)
         wait_until(lambda: names(page) == ["press-1", "left-thumb/press-2"], 15, "both, the newest first")
-        shows(page, "recordings-list", "1 frames · 0.0 MB")
+        shows(page, "recordings-list", "1 frame · 0.0 MB")
         page.execute_script(SAVED)  # the driver waits for ever after a download that the page began
         press(page, "Download", "press-1")
         shows(page, "recordings-words", "downloaded press-1, 20.0 MB")

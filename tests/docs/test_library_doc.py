@@ -62,7 +62,7 @@ def executed(code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run("An image to a picture", made, monkeypatch)
-    assert re.fullmatch(r"1 objects, deepest [12]\.\d\d mm\n", capsys.readouterr().out)
+    assert re.fullmatch(r"1 object\(s\), deepest [12]\.\d\d mm\n", capsys.readouterr().out)
     drawn = cv2.imread(str(made / "press_height.png"))
     assert drawn is not None
     assert drawn.std() > 10

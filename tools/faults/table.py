@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import cv2
 
+from tacshade_edge.quoting import counted
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
@@ -41,7 +42,7 @@ def killed(cell: Cell) -> Seen:
     cell.broker.start()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+    return Seen(f"{counted(lost, 'frame')}, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
 
 
 @fault(f"broker stalls for {STALL_S:.0f} s")
@@ -62,7 +63,10 @@ def stalled(cell: Cell) -> Seen:
     superseded, failed = (after[name] - before[name] for name in ("superseded", "failed"))
     assert superseded + failed > 0
     return Seen(
-        f"{superseded} frames superseded, {failed} failed, all counted", "log, `health`", detected_s, recovered_s
+        f"{counted(superseded, 'frame')} superseded, {failed} failed, all counted",
+        "log, `health`",
+        detected_s,
+        recovered_s,
     )
 
 
@@ -76,7 +80,7 @@ def network_stalls(cell: Cell) -> Seen:
     cell.broker.resume()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(f"{lost} frames, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+    return Seen(f"{counted(lost, 'frame')}, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
 
 
 @fault("broker denies publishing")
@@ -152,7 +156,7 @@ def unplugged(cell: Cell) -> Seen:
     recovered_s = _synchronised(cell)
     lost = cell.last("health")["serial"]["poses_lost"]
     where = "log, `status/serial`, EVT to the robot"
-    return Seen(f"{lost} poses so far, counted", where, detected_s, recovered_s)
+    return Seen(f"{counted(lost, 'pose')} so far, counted", where, detected_s, recovered_s)
 
 
 @fault("robot restarts")
@@ -176,7 +180,7 @@ def noise(cell: Cell) -> Seen:
     serial = cell.last("health")["serial"]
     assert serial["damaged"] > 0
     assert serial["poses"] > 100
-    return Seen(f"{serial['damaged']} lines, counted; none taken for another", "`health.serial`")
+    return Seen(f"{counted(serial['damaged'], 'line')}, counted; none taken for another", "`health.serial`")
 
 
 @fault("robot falls silent")
@@ -268,7 +272,7 @@ def full_while_recording(cell: Cell) -> Seen:
     filler.unlink()
     since_s = time.monotonic()
     assert cell.ask("record", action="start", seconds=1, name="r2")["ok"]
-    lost = f"{status['dropped']} frames, counted; all {read} before are there"
+    lost = f"{counted(status['dropped'], 'frame')}, counted; all {read} before are there"
     return Seen(lost, "`status/recorder`, log", detected_s, time.monotonic() - since_s)
 
 
@@ -322,7 +326,7 @@ def full_in_a_session(cell: Cell) -> Seen:
     cell.presses(presses + 1)
     missed = cell.last("status/stitching")["missed"]
     where = "log, `status/stitching.missed`"
-    return Seen(f"{missed} presses, each refused", where, detected_s, time.monotonic() - since_s)
+    return Seen(f"{counted(missed, 'press')}, each refused", where, detected_s, time.monotonic() - since_s)
 
 
 @fault("a bit flipped in a session's presses")

@@ -28,6 +28,7 @@ from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import LabelledFrame, TouchResult, learn_touch, load_networks, report_lines
+from tacshade_edge.quoting import counted
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.render import project
 from tacshade_edge.storage.atomic_files import disk_errors
@@ -215,7 +216,7 @@ def _learn(calibration: Calibration, table: Path, labelled: Sequence[LabelledIma
     """Learn a touch model per profile. Raises ConfigError for an unreadable image or too few rows of every quantity."""
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
-        found = ", ".join(f"{count} rows with {name}" for name, count in counts.items() if count)
+        found = ", ".join(f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count)
         raise ConfigError(f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity")
     size = f"{calibration.image_width_px}x{calibration.image_height_px}"
     results, progress = [], Progress()

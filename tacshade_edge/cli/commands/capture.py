@@ -28,6 +28,7 @@ from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import sources
+from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
@@ -239,7 +240,7 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
         if any(one.stated.columns[0] != BALL for one in taken):
             words += f" --indenters {at}/{folder.indenters.name}"
     else:
-        count = f"{len(taken)} press{'' if len(taken) == 1 else 'es'}"
         more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
-        terminal.say(f"{count}: {more}")
-    terminal.say(f"next:\n  {words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}")
+        terminal.say(f"{counted(len(taken), 'press')}: {more}")
+    calibrate = f"{words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}"
+    terminal.say(f"next:\n  {calibrate}\n  tacshade-edge run --config {at}/{folder.settings.name}")

@@ -13,6 +13,7 @@ from tacshade_edge.daemon.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.quoting import counted
 from tacshade_edge.storage.exports.files import Add, csv_export, ply_export, write_hand_csv
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.recording.recording import Recording
@@ -52,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
     with _export(args.to, out, calibration, args.profile, content) as add:
         replay(recording, reconstructor, [add], progress, speed=None, undecodable=warn)
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
-    print(f"{out}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
+    frames = counted(progress.frames, "frame")
+    print(f"{out}: {frames}, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
     return 1 if progress.undecodable else 0
 
 
@@ -76,8 +78,8 @@ def _export_hand(args: argparse.Namespace) -> int:
     else:
         hand = read_hand(args.input, args.profile)
         count = write_hand_csv(args.out, hand.fingers, hand.messages)
-    left_out = f", {len(hand.unread)} images unreadable" if hand.unread else ""
-    print(f"{args.out}: {count} messages of {len(hand.fingers)} fingers{left_out}")
+    left_out = f", {counted(len(hand.unread), 'image')} unreadable" if hand.unread else ""
+    print(f"{args.out}: {counted(count, 'message')} of {counted(len(hand.fingers), 'finger')}{left_out}")
     return 1 if hand.unread else 0
 
 

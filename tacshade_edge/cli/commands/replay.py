@@ -15,7 +15,7 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.quoting import shown
+from tacshade_edge.quoting import counted, shown
 from tacshade_edge.settings import load
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
@@ -117,8 +117,8 @@ def _replay(args: argparse.Namespace) -> int:
         if args.out is not None and not interrupted:
             writer.finish(progress.as_dict())
     print(
-        f"{args.input}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid, "
-        f"{progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
+        f"{args.input}: {counted(progress.frames, 'frame')}, {progress.contacts} in contact, {progress.invalid} "
+        f"invalid, {progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
         f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
     )
     if broker is not None:

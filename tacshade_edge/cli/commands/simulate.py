@@ -18,6 +18,7 @@ import yaml
 from tacshade_edge.cli.shared.options import COUNT, FINITE, add_option
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import counted
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.model import SensorModel, random_model
@@ -122,7 +123,7 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         rows.append((name, presses.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
-    print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
+    print(f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, PRESSES.csv")
     at = shlex.quote(str(folder))
     print("next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):")
     print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
@@ -153,7 +154,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
         rows.append((f"{stem}.png", name, *numbers, round(depth_max_mm, 4)))
         progress("images", k + 1, len(scenes))
     _write_csv(args.out / "scenes.csv", ("image", "object", *PRESS_KEYS, "depth_max_mm"), rows)
-    print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
+    print(f"{args.out}: {counted(len(scenes), 'image')} with ground truth, scenes.csv")
     at = shlex.quote(str(args.out))
     seed = "" if args.sensor_seed is None else f" --sensor-seed {args.sensor_seed}"
     print(f"next:\n  tacshade-edge simulate --calibration-set {at}/sensor{seed}")
@@ -210,7 +211,8 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
         _write_csv(folder / table, frame_table.POSES_HEADER, rows)
     raster = {"z_mm": pads.raster(pad, _TRUTH_STEP_MM), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": _TRUTH_STEP_MM}
     _write_npz(folder / "PAD.npz", raster)
-    print(f"{folder}: {len(poses)} presses, POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml")
+    made = f"POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml"
+    print(f"{folder}: {counted(len(poses), 'press')}, {made}")
     at = shlex.quote(str(folder))
     print(f"next:\n{_calibrate(at, '')}")
     print(f"  tacshade-edge stitch --calibration {at}/calibration.npz --poses {at}/POSES.csv", end=" ")

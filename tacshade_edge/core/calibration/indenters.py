@@ -61,9 +61,7 @@ class Indenter:
 
 @frozen
 class PlacedIndenter:
-    """An indenter during a press, in the sensor frame: its origin's place, depth as in PRESSES.csv, triangles (N, 3,
-    3).
-    """
+    """An indenter in a press, in the sensor frame: its origin's place, depth as in PRESSES.csv, triangles (N, 3, 3)."""
 
     x_mm: float
     y_mm: float
@@ -92,9 +90,7 @@ class PlacedIndenter:
         return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
-        """Heights h (rows, cols) where the camera's rays first meet the surface; NaN outside the disc and the
-        undeformed skin.
-        """
+        """Heights h (rows, cols) where camera rays first meet the surface; NaN outside disc and undeformed skin."""
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
         near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
         if d is not None:
@@ -308,9 +304,7 @@ _STEPS = 48  # rings of a shape that is round below
 
 @frozen
 class Printable:
-    """An indenter to print: its entry in INDENTERS.yaml, and its triangles, counter-clockwise from outside; the stem is
-    up.
-    """
+    """An indenter to print: its entry in INDENTERS.yaml; its triangles, counter-clockwise from outside; stem up."""
 
     name: str
     entry: Mapping[str, str | float]

@@ -27,9 +27,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPress:
-    """An image and its row of PRESSES.csv. A ball has a radius, no indenter, and no x and y if the image must locate
-    it.
-    """
+    """An image and its row of PRESSES.csv. A ball has a radius, no indenter, and no x and y if the image locates it."""
 
     name: str
     image: U8
@@ -54,9 +52,7 @@ class KnownPress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """All input to a calibration, in grey, so that it can be repeated; `renewed` is of the latest ``calibrate
-    --rezero``.
-    """
+    """A calibration's input, in grey, to repeat it; `renewed` is of the latest ``calibrate --rezero``."""
 
     sensor: Sensor
     references: tuple[U8, ...]

@@ -37,9 +37,7 @@ class Touch:
 
 @frozen
 class FixedIndenter:
-    """A ball's centre, or another indenter's lowest point, in the base frame, and the sensor's pose at the stated
-    press.
-    """
+    """A ball's centre, or another indenter's lowest point, in the base frame; the sensor's pose at the stated press."""
 
     point_mm: F64
     ball_radius_mm: float

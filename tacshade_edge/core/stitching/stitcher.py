@@ -39,9 +39,7 @@ _Box = tuple[slice, slice]
 
 @frozen
 class Raster:
-    """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step; NaN where no press
-    touched.
-    """
+    """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step; NaN where untouched."""
 
     z_mm: F32
     x0_mm: float
@@ -190,9 +188,7 @@ CORRECTION_MAX_SIGMAS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class PlacedPress:
-    """One press in a finished map: its pose; the change from the reported one at the apex; why its points are not in
-    the map.
-    """
+    """A press in a finished map: its pose, its change at the apex from the reported one, why it is left out."""
 
     base_T_sensor: Rigid
     correction_mm: float

@@ -12,7 +12,7 @@ import { showContacts, withEvent } from "./lived.js";
 import { MapView } from "./mapview.js";
 import { drawArrows } from "./marks.js";
 import { CONTACT, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
-import { element, levelOf, number, showState } from "./panels.js";
+import { counted, element, levelOf, number, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
 import { commandRecordings, updateRecording } from "./record.js";
@@ -42,7 +42,7 @@ const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(
 const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
 const whole = new Whole({ link: () => link, infos: (sensor) => sensors.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
-  ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Took a new zero from ${result.frames} frames.`),
+  ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Took a new zero from ${counted(result.frames, "frame")}.`),
   changed: (words) => {
     $("rezero").textContent = rezero.waiting && !rezero.taking ? "Cancel re-zero" : "Re-zero";
     if (rezero.waiting && !rezero.taking) updateAnswer("wait", "Re-zero waits until nothing touches the skin …");
@@ -449,7 +449,7 @@ function updateSession(able) {
   add.hidden = end.hidden = abort.hidden = !open;
   session.disabled = begin.disabled = !able;
   add.disabled = end.disabled = abort.disabled = !able || status.state !== "open";
-  form.querySelector("output").textContent = open ? `Stitching ${status.name}: ${status.presses} presses` : "";
+  form.querySelector("output").textContent = open ? `Stitching ${status.name}: ${counted(status.presses, "press")}` : "";
 }
 
 function updateProfiles() {
@@ -514,11 +514,11 @@ $("session").elements.add.addEventListener("click", () => {
   ask("stitch", { action: "add" }, "Adding …", (result) => `Added press ${result.press}.`);
 });
 $("session").elements.end.addEventListener("click", () => {
-  ask("stitch", { action: "end" }, "Making the map …", (result) => `Made the map of ${result.name} from ${result.used} of ${result.presses} presses.`, MAP_MS);
+  ask("stitch", { action: "end" }, "Making the map …", (result) => `Made the map of ${result.name} from ${result.used} of ${counted(result.presses, "press")}.`, MAP_MS);
 });
 $("session").elements.abort.addEventListener("click", () => {
   const { name, presses } = view.parts.get("stitching");
-  if (!confirm(`End ${name} without a map? This deletes its ${presses} presses.`)) return;
+  if (!confirm(`End ${name} without a map? This deletes its ${counted(presses, "press")}.`)) return;
   ask("stitch", { action: "abort" }, "Ending …", (result) => `Deleted session ${result.name}.`);
 });
 

@@ -10,6 +10,9 @@ export function element(name, properties = {}, ...children) {
   return made;
 }
 
+/** `1 frame`, `2 frames`, `2 presses`. */
+export const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : noun.endsWith("s") ? "es" : "s"}`;
+
 /** A number with `digits` digits; empty if it is no number. */
 export function number(value, digits = 0) {
   return Number.isFinite(value) ? value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1") : "";

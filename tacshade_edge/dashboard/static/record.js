@@ -1,6 +1,6 @@
 // The buttons of the recorder, for a sensor that publishes `status/recorder`.
 
-import { number } from "./panels.js";
+import { counted, number } from "./panels.js";
 
 const form = document.getElementById("recording");
 
@@ -17,7 +17,7 @@ export function commandRecordings(ask) {
     ask({ action: "mark", text }, "Marking …", (result) => `Marked ${text ? `“${text}” ` : ""}after frame ${result.frames}.`);
     words.value = "";
   });
-  stop.addEventListener("click", () => ask({ action: "stop" }, "Writing …", (result) => `Recorded ${result.frames} frames in ${result.folder}.`));
+  stop.addEventListener("click", () => ask({ action: "stop" }, "Writing …", (result) => `Recorded ${counted(result.frames, "frame")} in ${result.folder}.`));
 }
 
 export function updateRecording(status, able) {
@@ -29,7 +29,7 @@ export function updateRecording(status, able) {
   for (const control of [seconds, record, mark, words, stop]) control.disabled = !able;
   form.dataset.going = going;
   form.querySelector("output").textContent = going
-    ? `Recording ${minutes(status.seconds)} of ${minutes(status.of_seconds)}: ${status.frames} frames, ${number(status.bytes / 1e6, 1)} MB${status.dropped ? `, ${status.dropped} dropped` : ""}` : "";
+    ? `Recording ${minutes(status.seconds)} of ${minutes(status.of_seconds)}: ${counted(status.frames, "frame")}, ${number(status.bytes / 1e6, 1)} MB${status.dropped ? `, ${status.dropped} dropped` : ""}` : "";
 }
 
 function minutes(seconds) {

@@ -1,7 +1,7 @@
 // The recordings in a folder on the server's machine: each command opens its own WebSocket to the server.
 
 import { cut } from "./bounds.js";
-import { element, number } from "./panels.js";
+import { counted, element, number } from "./panels.js";
 
 const FOLD_BYTES = 1 << 24; // the browser can move merged pieces out of the page's memory
 const $ = (id) => document.getElementById(id);
@@ -31,7 +31,7 @@ export class Recordings {
   }
 
   row({ name, frames, size_bytes, began_ns, is_growing }) {
-    const facts = [new Date(began_ns / 1e6).toLocaleString(), frames === null ? "" : `${frames} frames`, size_bytes === null ? "" : `${number(size_bytes / 1e6, 1)} MB`, is_growing ? "being written" : frames === null ? "not ended" : ""];
+    const facts = [new Date(began_ns / 1e6).toLocaleString(), frames === null ? "" : counted(frames, "frame"), size_bytes === null ? "" : `${number(size_bytes / 1e6, 1)} MB`, is_growing ? "being written" : frames === null ? "not ended" : ""];
     const button = (words, act, disabled) => element("button", { type: "button", textContent: words, ariaLabel: `${words} ${name}`, disabled, onclick: act });
     const may = !is_growing && !this.readOnly, is_played = this.playing?.name === name;
     const buttons = [

@@ -1,12 +1,12 @@
 // The numbers of a contact and the sensor's rate, in tiles of constant width. An unknown number leaves its tile empty.
 
-import { number } from "./panels.js";
+import { counted, number } from "./panels.js";
 
 const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
 
 export function showContact(contact) {
   const free = contact?.contact === 0, { objects, slip } = contact ?? {};
-  put("n-contact", !contact ? "" : free ? "none" : objects === 1 ? "1 object" : `${number(objects)} objects`, contact && !free ? "good" : undefined);
+  put("n-contact", !contact ? "" : free ? "none" : counted(objects, "object"), contact && !free ? "good" : undefined);
   const [words, level] = free ? ["none"] : SLIPS[slip] ?? [""];
   put("n-slip", words, level);
   put("n-depth", number(contact?.depth_max_mm, 2));

@@ -50,10 +50,7 @@ def printable(text: str) -> str:
 
 
 def parse_line(raw: bytes) -> Line | Reason:
-    """Parse a line without its end.
-
-    The reason is NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
-    """
+    """Parse a line without its end. Reasons: NOT_A_LINE (not printable, too long), BAD_CHECKSUM, BAD_SYNTAX."""
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(
             ReasonCode.NOT_A_LINE,

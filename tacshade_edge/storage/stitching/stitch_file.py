@@ -90,9 +90,7 @@ class StitchFile:
 
     @classmethod
     def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
-        """Resume a session; return its file and its whole presses in order. Raises DecodeError if ``session.json`` is
-        unusable.
-        """
+        """Resume a session: its file and whole presses in order. Raises DecodeError if ``session.json`` is unusable."""
         file = cls(folder, read_info(folder))
         path = folder / PRESSES
         with disk_errors(folder):

@@ -19,9 +19,7 @@ from tacshade_edge.types import QUANTITIES, U8
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """An image and its known quantities (some of `types.QUANTITIES`); `where` is ``FILE:LINE``, `group` names its
-    press.
-    """
+    """An image and its known quantities (of `types.QUANTITIES`); `where` is ``FILE:LINE``, `group` names its press."""
 
     path: Path
     known: Mapping[str, float]

@@ -14,6 +14,7 @@ from tacshade_edge.types import F64, Reconstruction
 
 COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
 """Columns of LABELS.csv that a reconstruction reports too."""
+_UNIT = {"depth": "mm", "tilt": "°", "shear": "mm"}
 PAIRS = {"tilt": ("tilt_x_deg", "tilt_y_deg"), "shear": ("shear_x_mm", "shear_y_mm")}
 """Quantities with two axes, which need not be the camera's."""
 
@@ -92,9 +93,9 @@ def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> s
     """Tables for people: how many frames were refused, and how well the rest agree."""
     counts = summary(("profile",), [((name,), some) for name, some in grouped(rows, "profile").items()], COUNTS)
     figures = [
-        (profile, each.quantity, str(each.frames), f"{each.rank_correlation:.2f}", f"{each.error:.2f}")
+        (profile, e.quantity, str(e.frames), f"{e.rank_correlation:.2f}", f"{e.error:.2f} {_UNIT[e.quantity]}")
         for profile, some in made.items()
-        for each in some
+        for e in some
     ]
     return f"{counts}\n\n{markdown(('profile', 'quantity', 'frames', 'rank correlation', 'mean error'), figures)}"
 

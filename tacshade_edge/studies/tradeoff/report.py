@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.quoting import counted
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.report import versions
 from tacshade_edge.studies.parallel import usable_cores
@@ -102,7 +103,7 @@ class Wish:
 
     def __str__(self) -> str:
         """For people."""
-        parts = [f"{self.fingers} finger{'s' if self.fingers > 1 else ''} on {self.cores} cores"]
+        parts = [f"{counted(self.fingers, 'finger')} on {counted(self.cores, 'core')}"]
         parts += [] if self.fps is None else [f"{self.fps:g} frames/s"]
         return ", ".join(parts + ([] if self.budget_ms is None else [f"{self.budget_ms:g} ms (p99)"]))
 

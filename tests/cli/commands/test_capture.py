@@ -64,10 +64,11 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.types("ball 3 2.5 1 -3")
         one.hears(*about)
         one.hears("its radius 3 mm?")
+        one.hears(
+            "press 2, 2 planned presses left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:"
+        )  # not the one of 12 mm
         one.types("undo")
-        one.hears("removed press_001.png")
-        one.types("skip")
-        one.hears("press 1, ")
+        one.hears("press 1, 2 planned presses left [ball of 3 mm")
         one.types("skip")
         one.types("ball 6 2.5 1 15 15")
         one.hears("found 4 values after the indenter")
@@ -75,12 +76,12 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.hears("indenter: found 'bal', expected ball")
         one.types("")
         one.hears("press_001.png: ball of 6 mm")
-        one.hears("press 2, 1 planned presses left [ball of 4 mm")
+        one.hears("press 2, 1 planned press left [ball of 4 mm")
         one.process.terminate()
         one.ends()
     with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
         one.hears("this folder already has 10 references and 1 press\r\n")
-        one.hears("press 2, 1 planned presses left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
+        one.hears("press 2, 1 planned press left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
         one.types("skip")
         one.hears("press 2 (ball RADIUS_MM")
         one.types("2.5 1 -3")
@@ -88,6 +89,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.types("done")
         assert one.ends() == 0
         assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --fit --out" in one.heard
+        assert f"\r\n  tacshade-edge run --config '{out}'/config.yaml\r\n" in one.heard
         assert "2 presses: " in one.heard
     folder = CaptureFolder(out)
     presses, _ = read_presses(folder.presses)

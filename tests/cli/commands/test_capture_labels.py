@@ -102,11 +102,11 @@ def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
             one.types(words)
             one.hears(why)
         one.types("force_z_n=1.2 depth_mm=0.5")
-        one.hears("press 1: 1 pictures with depth_mm, force_z_n")
+        one.hears("press 1: 1 picture with depth_mm, force_z_n")
         one.types("force_z_n=2")
-        one.hears("press 2: 1 pictures with force_z_n")
+        one.hears("press 2: 1 picture with force_z_n")
         one.types("undo")
-        one.hears("removed press 2: 1 pictures")
+        one.hears("removed press 2: 1 picture")
         one.types("done")
         assert one.ends() == 0
         assert f"--labels {out}/LABELS.csv --out {out}/calibration.npz" in one.heard
@@ -121,7 +121,7 @@ def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
         one.hears("this folder already has 1 labelled pictures")
         rested(one)
         one.types("twist_deg=-3")
-        one.hears("press 2: 1 pictures with twist_deg")
+        one.hears("press 2: 1 picture with twist_deg")
         one.process.terminate()
         one.ends()
     assert [(row.known, row.group) for row in labelled(out)] == [(first.known, "1"), ({"twist_deg": -3.0}, "2")]

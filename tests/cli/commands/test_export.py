@@ -169,7 +169,7 @@ def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: 
     assert rows[-1]["motion_since_ns"] == ""
     next(Path(fingers[1]).glob("*.png")).write_bytes(b"no image")
     assert main(["export", *fingers, "--to", "csv", "--out", str(tmp_path / "torn.csv")]) == 1
-    assert capsys.readouterr().out.endswith(" messages of 2 fingers, 1 images unreadable\n")
+    assert capsys.readouterr().out.endswith(" messages of 2 fingers, 1 image unreadable\n")
 
 
 @pytest.mark.slow

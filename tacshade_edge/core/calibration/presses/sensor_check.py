@@ -23,8 +23,9 @@ _MOST_DEG = 85.0
 # A key explains the presses if its log likelihood exceeds that of the stated values by this much for each press and in
 # all, and by this part of what the best key gains. On four simulated sensors each press gained 0.01 without a mistake,
 # up to 0.23 with all places 1 mm or all depths 0.4 mm off, and over 1.1 with a radius or half angle a fifth too small.
-_GAIN_EACH, _LEAST_GAIN, _PART_OF_BEST = 0.3, 8.0, 0.8
-_MOST_MISFIT = 1.0
+_GAIN_EACH, _LEAST_GAIN, _PART_OF_BEST = 0.3, 8.0, 0.7
+# Beyond the best of them, presses are mistakes of their own.
+_MOST_MISFIT, _PART_BELIEVED = 1.0, 0.9
 # A usual distance in skin radii, to try around if none is stated.
 _USUAL_DISTANCE = 0.7
 
@@ -52,7 +53,7 @@ def wrong_keys(observations: Sequence[PressObservation], geometry: Geometry) -> 
 
 
 def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry) -> float:
-    """Mean part of the balls' squared heights that the network's do not explain, at the median factor."""
+    """Mean part of the best balls' squared heights that the network's do not explain, at the median factor."""
     per_px = tried.mm_per_px if tried.camera_distance_mm is None else 1 / tried.f_px
     sums = []
     for o in balls:
@@ -66,4 +67,5 @@ def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry
     both, of_seen, of_known = np.array(sums).T
     factor = np.median(both / of_seen)
     rest = (factor**2 * of_seen - 2 * factor * both + of_known) / of_known
-    return float(np.minimum(rest, _MOST_MISFIT).mean())
+    best = np.sort(np.minimum(rest, _MOST_MISFIT))[: math.ceil(_PART_BELIEVED * len(rest))]
+    return float(best.mean())

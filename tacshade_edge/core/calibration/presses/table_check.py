@@ -68,9 +68,7 @@ _LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
 
 
 def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
-    """Mistakes that all presses share, or in the skin's size. Wrong sizes are found only where a network sees the
-    presses.
-    """
+    """Mistakes that all presses share, or in the skin's size. Only a network that sees the presses finds sizes."""
     seen = [o for o in observations if o.is_seen]
     depth = _median([o.seen_depth_mm / o.depth_mm for o in seen])
     is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)

@@ -173,9 +173,7 @@ def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
 
 
 def _is_isolated(grey: U8, field: MarkerField) -> bool:
-    """Whether the pattern ends with a field: beside it, the image varies less than a third as much (0.47 on a coarse
-    rim).
-    """
+    """Whether a pattern ends with a field: beside it, the image varies under a third as much (0.47 on coarse rims)."""
     radii: F64 = field.circle.radius_px * np.linspace(*_BESIDE, 3 * _BESIDE_RADII)
     strength, seen = _pattern_strength(grey, field.circle, radii)
     rms = np.sqrt(strength.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))

@@ -39,6 +39,12 @@ def test_a_wrong_key_is_among_those_that_the_presses_name(key: str, factor: floa
 
 
 @pytest.mark.slow
+def test_a_few_mistaken_presses_hide_no_wrong_key() -> None:
+    mistaken = [replace(one, depth_mm=one.depth_mm * (2 if k % 10 == 0 else 1)) for k, one in enumerate(presses())]
+    assert "camera_distance_mm: found " in found("camera_distance_mm", 0.5, mistaken)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nothing", "radii", "places", "depths"])
 def test_other_mistakes_name_no_key(kind: str) -> None:
     wrong = {
