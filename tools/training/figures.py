@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from tacshade_edge.fitting.training import split_output, spoil
+from tacshade_edge.fitting.training import halved, split_output, spoil
 from tools.training.data import Data, batch
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 
@@ -17,15 +17,6 @@ UNTRUSTED_CELLS = 0.05
 """A frame with more than this share of untrusted cells counts as torn in the figures."""
 LEAST_CELLS, STILL_MM = 60, 0.1
 """Contacts with fewer cells (of 112x112) are not scored; contacts that moved by less count as undragged."""
-
-
-def halved(device: str) -> torch.autocast:
-    """Compute in bfloat16 where the device has it; a processor without it would take ten times as long."""
-    kind = torch.device(device).type
-    capable = torch.cpu.get_capabilities()
-    return torch.autocast(
-        kind, torch.bfloat16, enabled=kind != "cpu" or any(map(capable.get, ("avx512_bf16", "amx_bf16")))
-    )
 
 
 def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
