@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -177,8 +177,9 @@ class Reconstructor:
             sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
             mark("sigma")
         untrusted = depth.untrusted if depth.untrusted is not None and depth.untrusted.any() else None
-        whole = replace(
-            self._empty(frame, degraded=degraded),
+        whole = self._empty(
+            frame,
+            degraded=degraded,
             contact=True,
             saturated=depth.saturated,
             height=self._map(height_mm, objects.contact),
@@ -233,17 +234,10 @@ class Reconstructor:
         made.put(np.flatnonzero(contact), sigma_mm)
         return made
 
-    def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:
-        """The reconstruction without contact or of an invalid frame: exactly 0 inside the disc."""
-        return replace(
-            self._nothing,
-            seq=frame.seq,
-            t_ns=frame.t_ns,
-            wall_ns=frame.wall_ns,
-            valid=reason is None,
-            reason=reason,
-            degraded=degraded,
-        )
+    def _empty(self, frame: Frame, **found: Any) -> Reconstruction:
+        """The reconstruction without contact or of an invalid frame, exactly 0 inside the disc, but for `found`."""
+        valid = found.get("reason") is None
+        return replace(self._nothing, seq=frame.seq, t_ns=frame.t_ns, wall_ns=frame.wall_ns, valid=valid, **found)
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:
         return HeightMap(height_mm, contact, self.grid.row0, self.grid.col0, self.grid.step_px)
