@@ -7,7 +7,9 @@ from functools import cache
 
 def how_to_install(extra: str) -> str:
     """The command that installs an extra: from the clone, as long as no index has the package."""
-    return f"pip install '.[{extra}]' in the clone"
+    index = "https://download.pytorch.org/whl/cpu"  # PyPI's PyTorch brings 3 GB for GPUs
+    first = f"pip install torch --index-url {index}, then " if extra == "fit" else ""
+    return f"{first}pip install '.[{extra}]' in the clone"
 
 
 @cache

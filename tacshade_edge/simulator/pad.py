@@ -19,7 +19,6 @@ from tacshade_edge.types import F32, F64
 
 BULGE_HEIGHT_MM = 1.5
 EDGE_ROUNDING_MM = 1.0
-MAX_DEPTH_MM = 3.0
 _REACH_MM = 18.0  # from a sensor's axis; bulges farther away are below any skin pressed 3 mm deep
 
 

@@ -18,7 +18,7 @@ from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
 from tacshade_edge.capture.scale import BAUD, Scale, scale_port
 from tacshade_edge.capture.session import Session
-from tacshade_edge.cli.shared.options import add_option, add_sensor
+from tacshade_edge.cli.shared.options import NEXT_FIT, add_option, add_sensor
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.devices.camera import v4l2_node
@@ -242,5 +242,5 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
     else:
         more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
         terminal.say(f"{counted(len(taken), 'press')}: {more}")
-    calibrate = f"{words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}"
-    terminal.say(f"next:\n  {calibrate}\n  tacshade-edge run --config {at}/{folder.settings.name}")
+    calibrate = f"{'next:' if labels else NEXT_FIT}\n  {words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}"
+    terminal.say(f"{calibrate}\n  tacshade-edge run --config {at}/{folder.settings.name}")

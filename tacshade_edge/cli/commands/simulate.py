@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tacshade_edge.cli.shared.options import COUNT, FINITE, add_option
+from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_option
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import counted
@@ -44,7 +44,7 @@ source: {kind: simulated}
 recorder: {folder: recordings}
 """
 _SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
-_PAD_SEED = 500_000
+_PAD_SEED, _PAD_DEPTH_MM = 500_000, 2.7  # deep: below the bulges' tops
 _TRUTH_STEP_MM = 0.25
 # Standard deviations of the noise in POSES_NOISY.csv: along each axis, and about a random one through the skin's apex.
 _NOISE_MM, _NOISE_DEG = 0.3, 1.0
@@ -71,7 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--presses", "N", "ball presses in the calibration set (default: 40)", COUNT, default=40)
     add_option(parser, "--pad", "DIR", "folder for presses that cover a touchpad, with poses and truth")
     add_option(parser, "--pad-step", "MM", "distance between the pad's presses in mm (default: 4)", FINITE, default=4.0)
-    add_option(parser, "--pad-depth", "MM", "depth below the bulges' tops in mm (default: 2.7)", FINITE, default=2.7)
     add_option(parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0)
     add_option(parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT)
 
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             raise ConfigError(f"cannot simulate: {error}") from error
         if args.pad is not None:
-            write_pad(model, args.pad, args.pad_step, args.pad_depth, args.seed)
+            write_pad(model, args.pad, args.pad_step, _PAD_DEPTH_MM, args.seed)
     return 0
 
 
@@ -125,7 +124,7 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
     _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
     print(f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, PRESSES.csv")
     at = shlex.quote(str(folder))
-    print("next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):")
+    print(NEXT_FIT)
     print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
     if model == SensorModel():  # the one that `source: {kind: simulated}` simulates
         (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
@@ -190,11 +189,8 @@ def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object
 def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, seed: int) -> None:
     """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
-    if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
-        raise ConfigError(
-            f"--pad-step, --pad-depth: found a step of {step_mm:g} mm and a depth of {depth_mm:g} mm, "
-            f"expected a step of 0.5 to 20 mm and a depth above 0 and up to {pads.MAX_DEPTH_MM:g} mm"
-        )
+    if not 0.5 <= step_mm <= 20:
+        raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, expected 0.5 to 20 mm")
     poses = pads.scan(pad, step_mm, depth_mm, radius_mm)
     folder.mkdir(parents=True, exist_ok=True)
     _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide

@@ -23,6 +23,9 @@ def warn(line: object) -> None:
     print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
 
 
+NEXT_FIT = "next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):"
+
+
 def need(what: str, extra: str, *packages: str) -> None:
     """Raise a ConfigError that names the extra if one of these packages is missing; imports none of them."""
     for package in packages:

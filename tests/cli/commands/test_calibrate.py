@@ -246,7 +246,8 @@ def test_a_fit_without_its_extra_names_it(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda module: None if module == "numba" else True)
     line = refused(["calibrate", *words, "--fit", "--out", str(tmp_path / "cal.npz")], capsys)
-    assert "--fit: the package numba is not installed; to install it: pip install '.[fit]'" in line
+    assert "--fit: the package numba is not installed; to install it: pip install torch --index-url " in line
+    assert "/whl/cpu, then pip install '.[fit]' in the clone" in line
 
 
 @pytest.mark.fit

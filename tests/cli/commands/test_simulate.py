@@ -95,7 +95,7 @@ def expanded(line: str) -> list[str]:
 def test_a_pad_is_calibrated_and_stitched_by_the_commands_that_it_prints(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], small_pad: None
 ) -> None:
-    assert main(["simulate", "--pad", str(tmp_path / "pad"), "--pad-step", "5", "--pad-depth", "2.5"]) == 0
+    assert main(["simulate", "--pad", str(tmp_path / "pad"), "--pad-step", "5"]) == 0
     said, _, calibrate, stitch = capsys.readouterr().out.splitlines()
     assert said.startswith(f"{tmp_path}/pad: 12 presses, POSES.csv, POSES_NOISY.csv, PAD.npz, ")
     assert main(expanded(calibrate)) == 0
