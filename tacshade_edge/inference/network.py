@@ -42,13 +42,19 @@ def load_network(name: str, fitted: FittedNetwork | None = None, fitted_shear: F
 
 def read_network(onnx: Path, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
-    own, shear = read_part(onnx, fitted), read_part(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
+    own = read_part(onnx, fitted)
+    shear = _shipped_shear() if fitted_shear is None else read_part(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
     return_free_memory()  # 8 MB for `accurate`
 
     def sense(known: F32) -> F32:
         return own.sense(known) if fitted is None else own.sense(known) + fitted.correction
 
     return replace(own, sense=sense, shear=shear, sigma=_sigma(onnx.stem))
+
+
+@cache
+def _shipped_shear() -> Network:
+    return read_part(WEIGHTS / f"{SHEAR}.onnx")
 
 
 def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:

@@ -109,7 +109,7 @@ def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tupl
     way_x, way_y = (part / size if size >= LEAST_SHEAR_MM else 0.0 for part in shear_mm)
     t_ns, *places = zip(*seen, strict=True)
     speed = 0.0
-    for span_ns in SPANS_NS:
+    for span_ns in SPANS_NS if size >= LEAST_SHEAR_MM else SPANS_NS[-1:]:  # undragged skin does not slide
         first = min(bisect_left(t_ns, t_ns[-1] - span_ns), len(seen) - LEAST_FRAMES)
         t_s = [(each - t_ns[-1]) * 1e-9 for each in t_ns[first:]]
         mean_s = sum(t_s) / len(t_s)
