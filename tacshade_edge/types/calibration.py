@@ -81,9 +81,7 @@ class FittedNetwork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchModel:
-    """A profile's touch model. D features, m components, n directions, M centres, K basis functions, Q quantities, T
-    terms.
-    """
+    """A touch model: D features, m components, n directions, M centres, K functions, Q quantities, T terms."""
 
     names: tuple[str, ...]  # of Q quantities, from `QUANTITIES`
     networks: str  # digest of those that compute the features (`inference.network.touch_networks`)
@@ -92,7 +90,10 @@ class TouchModel:
     components: F32  # (D, m): standardised features to coordinates whose mean squares over the table add to 1
     scale: Positive  # length of a standardised feature vector whose coordinates have length 1
     spread: F32  # (m,) standard deviation of each coordinate over the table, descending
-    metric: F32  # (m, n) components to the directions in which the quantities change, weighted by how much they do
+    origin: F32  # (m,) coordinates of the untouched skin
+    metric: (
+        F32  # (2 m, n) coordinates and their ratios to the directions in which the quantities change (older: m rows)
+    )
     gate_part: Annotated[float, Meta(ge=0, le=1)]  # part of the picture from whose change on the model answers
     centres: F32  # (M, n)
     width: Positive  # of the squared-exponential kernel
@@ -124,7 +125,8 @@ class TouchModel:
                 if sizes.setdefault(letter, size) != size:
                     raise ValueError(f"touch model: {name} is {array.shape}, which does not fit the other arrays")
         quantities = sizes["Q"]
-        if sizes["+"] != sizes["n"] + sizes["M"] or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
+        known = sizes["+"] == sizes["n"] + sizes["M"] and sizes["2"] in (sizes["m"], 2 * sizes["m"])
+        if not known or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
             raise ValueError(f"touch model: found the sizes {sizes}, expected some that fit each other")
         positive = (self.deviation, self.spread, self.noise, self.ridge)
         if min(array.min() for array in positive) <= 0 or (self.precision < 0).any():
@@ -132,18 +134,11 @@ class TouchModel:
 
 
 _TOUCH_SHAPES = {
-    **{
-        "mean": "D",
-        "deviation": "D",
-        "components": "Dm",
-        "spread": "m",
-        "metric": "mn",
-        "centres": "Mn",
-        "basis": "+K",
-    },
+    **{"mean": "D", "deviation": "D", "components": "Dm", "spread": "m", "origin": "m"},
+    **{"metric": "2n", "centres": "Mn", "basis": "+K"},
     **{"weights": "+Q", "precision": "KQ", "ridge": "Q", "offset": "Q", "noise": "Q", "low": "Q", "high": "Q"},
     **{"imprint_weights": "TI", "imprint_precision": "II"},
-}  # a letter for each size, as in `TouchModel`; + for n + M
+}  # a letter for each size, as in `TouchModel`; + for n + M, 2 for 2 m
 TOUCH_ARRAYS = tuple(_TOUCH_SHAPES)
 
 

@@ -22,8 +22,10 @@ from tacshade_edge.types import F32, F64, Touch, TouchedObject, TouchModel
 
 CLIP = 6.0  # limit of a standardised feature; more carries no information
 LINEAR = 0.5  # square root of the linear kernel's weight relative to the squared-exponential one
+RATIOS = 0.4  # factor on the ratios of components to the press, relative to the components
+PRESS_COMPONENTS = 4  # components whose distance from the untouched skin's is the press
+LEAST_PRESS = 0.25  # added to it in quadrature: the components' noise is no ratio
 LEVERAGE_COMPONENTS = 64  # components used for the leverage; more are noise of few frames
-
 Floats = TypeVar("Floats", F32, F64)
 MARGIN = 1.645  # A value this many standard deviations beyond the labelled range is an extrapolation
 
@@ -33,8 +35,6 @@ PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "tw
 PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 """Standard deviation of each without labels. Plates on a sensor of the third family have less: 0.28, 1.1, 1.1, 0.34,
 0.42, 2.9; other objects and real skins are worse."""
-
-
 NO_IMPRINT = np.full(4, np.nan, np.float32)  # of a frame without contact, in a table
 
 
@@ -51,8 +51,8 @@ def terms(values: F64, low: F32, high: F32) -> F64:
     """1, the quantities (n, Q) relative to the labelled range, and all their pairwise products: (n, T)."""
     half = np.where(high > low, (high - low) / 2, 1)
     parts = (values - (low + high) / 2) / half
-    first, second = np.triu_indices(parts.shape[1])
-    made: F64 = np.concatenate((np.ones((len(parts), 1)), parts, parts[:, first] * parts[:, second]), axis=1)
+    once = np.tri(parts.shape[1], dtype=bool).T  # row by row
+    made: F64 = np.concatenate((np.ones((len(parts), 1)), parts, (parts[:, :, None] * parts[:, None])[:, once]), axis=1)
     return made
 
 
@@ -64,32 +64,40 @@ def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
 
 def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
     """Predict the quantities (Q,) of a frame and their deviations, and whether the frame is like those of the table."""
-    standard = standardised(features, model.mean, model.deviation)
+    standard = scaled(features, model.mean, model.deviation)
     parts = standard @ model.components
-    at = (parts @ model.metric).astype(np.float32, copy=False)
-    near = kernel_values(at[None], model.centres, model.width)[0]
+    at = coordinates(parts[None], model.origin)[:, : len(model.metric)] @ model.metric
+    near = kernel(at, model.centres, model.width)[0]
     mean = model.offset + near @ model.weights
     values = near @ model.basis
-    spread = 1 + (values * values) @ model.precision + unreached(at[None], values[None]) / model.ridge
+    spread = 1 + (values * values) @ model.precision + unreached(at, values[None]) / model.ridge
     alike = leverage(parts[None], model.spread)[0] <= model.leverage_max
     alike = alike and residual(standard[None], parts[None], model.scale)[0] <= model.residual_max
     return mean.astype(np.float64), (model.noise * np.sqrt(spread)).astype(np.float64), bool(alike)
 
 
-def standardised(features: F32, mean: F32, deviation: F32) -> F32:
+def scaled(features: F32, mean: F32, deviation: F32) -> F32:
     """Features less their mean, in standard deviations, clipped."""
     made = (features - mean) / deviation
     return np.clip(made, -CLIP, CLIP, out=made)
 
 
-def kernel_values(at: Floats, centres: Floats, width: float) -> Floats:
+def coordinates(parts: Floats, origin: F32) -> Floats:
+    """The components (n, m), and their ratios to the press, in which light ones show their tilt, too: (n, 2 m)."""
+    away = parts - origin
+    press = np.sqrt((away[:, :PRESS_COMPONENTS] ** 2).sum(axis=1, keepdims=True) + LEAST_PRESS**2)
+    return np.concatenate((parts, RATIOS * away / press), axis=1)
+
+
+def kernel(at: Floats, centres: Floats, width: float) -> Floats:
     """The weighted coordinates (n, m) and their squared-exponential kernel with each centre, (n, m + M)."""
-    squares = (at * at).sum(axis=1)[:, None] + (centres * centres).sum(axis=1) - 2 * (at @ centres.T)
+    ones = np.ones(at.shape[1], at.dtype)  # a product sums faster than `sum`
+    squares = ((at * at) @ ones)[:, None] + (centres * centres) @ ones - 2 * (at @ centres.T)
     near = np.exp(np.maximum(squares, 0) * (-0.5 / width**2))
     return np.concatenate((at * at.dtype.type(LINEAR), near), axis=1)
 
 
-def leverage(at: Floats, spread: Floats) -> Floats:
+def leverage(at: Floats, spread: F32) -> Floats:
     """Mean square of each frame's first coordinates in standard deviations, (n,)."""
     first = at[:, :LEVERAGE_COMPONENTS] / spread[:LEVERAGE_COMPONENTS]
     found: Floats = (first * first).mean(axis=1)

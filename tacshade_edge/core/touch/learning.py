@@ -10,12 +10,13 @@ step of Radhakrishnan, Beaglehole, Pandit and Belkin, Science 383, 2024).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.touch.answer import LINEAR, kernel_values, leverage, residual, standardised, terms, unreached
+from tacshade_edge.core.touch.answer import LINEAR, coordinates, kernel, leverage, residual, scaled, terms, unreached
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
 COMPONENTS = 96
@@ -30,6 +31,7 @@ LEAST_GROUPS = 5  # least number of groups with a quantity: the prediction of a 
 FOLDED_ROWS = 1000  # in a larger table, held-out frames are not left out of the components
 FOLDS = 10
 FOLDS_OF_MANY = 3  # that are tried in a larger table
+UNTOUCHED = 0.03  # share of the frames, the least changed, whose mean stands for the untouched skin
 GATE_QUANTILE, GATE_SHARE = 0.01, 0.8
 """The model answers a frame that has changed by at least this share of this quantile over the table."""
 SEEN_ERRORS = 2.0  # least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`
@@ -66,25 +68,20 @@ class LearntTouch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Space:
-    """Principal components of a table's standardised features, and its frames' coordinates in them."""
+    """A table's principal components, its frames' coordinates in them (`at`), and the untouched skin's (`origin`)."""
 
     mean: F32
     deviation: F32
     components: F32
     scale: float
     at: F64
-
-    @property
-    def spread(self) -> F32:
-        made: F32 = np.maximum(self.at.std(axis=0), 1e-9).astype(np.float32)
-        return made
+    spread: F32
+    origin: F32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Functions (n, K) of the coordinates, uncorrelated over the table, the sums (K,) of their squares, and the
-    kernel's variance (n,) beyond the centres.
-    """
+    """Functions (n, K), uncorrelated over the table, sums of their squares, and the variance beyond the centres."""
 
     width: float
     centres: F64
@@ -123,14 +120,12 @@ def learn(
     (n,), and labels (n, Q), NaN if a frame has none; each quantity has at least `LEAST_ROWS`, in at least
     `LEAST_GROUPS` groups. Frames of one press share a group, held out together.
     """
-    space = _space(features)
-    first = _fitted(space.at, labels, groups)
-    metric = _metric(first, space.at, labels)
-    at = space.at @ metric
-    basis, solved = second = _fitted(at, labels, groups)
-    (leverage_max, residual_max), solved = _judged(features, labels, groups, space, first, second)
-    # The table's own frames are like the table.
-    own = float(leverage(space.at, space.spread.astype(np.float64)).max())
+    space = _space(features, changed_parts)
+    whole = coordinates(space.at, space.origin)
+    first = _fitted(whole, labels, groups)
+    metric = _metric(first, whole, labels)
+    basis, solved = second = _fitted(whole @ metric, labels, groups)
+    (leverage_max, residual_max), solved = _judged(features, changed_parts, labels, groups, space, first, second)
     reports = tuple(_report(name, labels[:, q], solved[q]) for q, name in enumerate(names))
     kept = [q for q, report in enumerate(reports) if report.seen]
     if not kept:
@@ -152,6 +147,7 @@ def learn(
         components=space.components,
         scale=space.scale,
         spread=space.spread,
+        origin=space.origin,
         metric=metric.astype(np.float32),
         gate_part=GATE_SHARE * float(np.quantile(changed_parts, GATE_QUANTILE)),
         centres=basis.centres.astype(np.float32),
@@ -164,7 +160,7 @@ def learn(
         noise=np.array([one.noise for one in chosen], np.float32),
         low=low,
         high=high,
-        leverage_max=max(leverage_max, 1.01 * own),
+        leverage_max=max(leverage_max, 1.01 * float(leverage(space.at, space.spread).max())),  # the table's own belong
         residual_max=residual_max,
         imprint_weights=weights.astype(np.float32),
         imprint_precision=precision.astype(np.float32),
@@ -179,7 +175,8 @@ def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
     for width in WIDTHS:
         basis = _basis(at, width)
         solved = [_solve(basis, column, groups) for column in labels.T]
-        errors = [np.mean(one.residuals**2) / _variance(labels[one.rows, q]) for q, one in enumerate(solved)]
+        # Logarithms, so that a quantity that no frame shows chooses nothing.
+        errors = [np.log(np.abs(one.residuals).mean() + 1e-300) for one in solved]
         tried.append((float(np.mean(errors)), basis, solved))
     _, best, found = min(tried, key=lambda one: one[0])
     return best, found
@@ -188,14 +185,13 @@ def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
 def _metric(fit: _Fit, at: F64, labels: F64) -> F64:
     """The directions (m, n) of coordinates in which a fit's answers change, so that coordinates keep their length."""
     basis, solved = fit
-    near = kernel_values(at, basis.centres, basis.width)[:, at.shape[1] :]
-    changes = np.zeros((at.shape[1], at.shape[1]))
+    size = at.shape[1]
+    near = kernel(at, basis.centres, basis.width)[:, size:]
+    changes = np.zeros((size, size))
     for q, one in enumerate(solved):
         weights = basis.matrix @ one.weights
-        pull = near * weights[at.shape[1] :]
-        slopes = (
-            LINEAR * weights[: at.shape[1]] + (pull @ basis.centres - pull.sum(axis=1)[:, None] * at) / basis.width**2
-        )
+        pull = near * weights[size:]
+        slopes = (pull @ basis.centres - pull.sum(axis=1)[:, None] * at) / basis.width**2 + LINEAR * weights[:size]
         changes += slopes.T @ slopes / _variance(labels[one.rows, q])
     power, turned = np.linalg.eigh(changes)
     scale = (np.maximum(power, 0) / max(power[-1], 1e-300) + LEAST_CHANGE) ** 0.25
@@ -209,10 +205,10 @@ def _variance(labels: F64) -> float:
     return max(float(np.var(labels)), 1e-12)
 
 
-def _space(features: F32) -> _Space:
+def _space(features: F32, changed_parts: F64) -> _Space:
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     deviation = deviation + np.float32(1e-3) * np.float32(features.std()) + np.float32(1e-6)
-    standard = standardised(features, mean, deviation)
+    standard = scaled(features, mean, deviation)
     rows, columns = standard.shape
     count = min(COMPONENTS, rows - 2, columns)
     if rows <= columns:
@@ -226,19 +222,22 @@ def _space(features: F32) -> _Space:
     scale = float(np.sqrt((at.astype(np.float64) ** 2).sum(axis=1).mean())) or 1.0
     # Rounded first, because the file stores 16 bits.
     components = (components / np.float32(scale)).astype(np.float16).astype(np.float32)
-    return _Space(mean, deviation, components, scale, (standard @ components).astype(np.float64))
+    at = standard @ components
+    origin = at[np.argsort(changed_parts)[: math.ceil(UNTOUCHED * rows)]].mean(axis=0)
+    spread = np.maximum(at.std(axis=0, dtype=np.float64), 1e-9).astype(np.float32)
+    return _Space(mean, deviation, components, scale, at.astype(np.float64), spread, origin)
 
 
 def _basis(at: F64, width: float) -> _Basis:
     centres = at[np.linspace(0, len(at) - 1, min(CENTRES, len(at))).astype(np.int64)]
     parts = at.shape[1]
-    power, turned = np.linalg.eigh(kernel_values(centres, centres, width)[:, parts:])
+    power, turned = np.linalg.eigh(kernel(centres, centres, width)[:, parts:])
     keep = power > 1e-6 * power[-1]
     # The centres' functions with the weights of a Gaussian process: K_zz^(-1/2).
     matrix = np.zeros((parts + len(centres), parts + int(keep.sum())))
     matrix[:parts, :parts] = np.eye(parts)
     matrix[parts:, parts:] = turned[:, keep] / np.sqrt(power[keep])
-    values = kernel_values(at, centres, width) @ matrix
+    values = kernel(at, centres, width) @ matrix
     powers, turned = np.linalg.eigh(values.T @ values)
     values = values @ turned
     return _Basis(width, centres, matrix @ turned, values, np.maximum(powers, 0), unreached(at, values))
@@ -255,14 +254,13 @@ def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) 
     offset = float(labels[rows].mean())
     left, squares = labels[rows] - offset, values * values
     at = values.T @ left
-    tried = [
-        (ridge, *_held_out(values, squares, 1 / (power + ridge), left, at, groups[rows]))
-        for ridge in (RIDGES if ridge is None else (ridge,))
-    ]
-    ridge, residuals, variances = min(tried, key=lambda one: float(np.mean(one[1] ** 2)))
+    ridges = RIDGES if ridge is None else np.array([ridge])
+    residuals, variances = _held_out(values, squares, 1 / (power[:, None] + ridges), left, at, groups[rows])
+    best = int(np.argmin(np.abs(residuals).mean(axis=0)))
+    ridge = float(ridges[best])
     weights = at / (power + ridge)
-    variances = variances + basis.unreached[rows] / ridge
-    return _Solved(rows, float(ridge), offset, turned @ weights if some else weights, residuals, variances)
+    variances = variances[:, best] + basis.unreached[rows] / ridge
+    return _Solved(rows, ridge, offset, turned @ weights if some else weights, residuals[:, best], variances)
 
 
 def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
@@ -271,19 +269,18 @@ def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
 
 
 def _held_out(values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
-    """Residuals and variances of the rows, each predicted from the other groups."""
-    residuals = left - values @ (inverse * at)
+    """Residuals and variances (n, R) of the rows, each predicted from the other groups, by R inverses (K, R)."""
+    residuals = left[:, None] - values @ (inverse * at[:, None])
     own = squares @ inverse + 1 / len(values)
     order = np.argsort(groups, kind="stable")
     starts = np.flatnonzero(np.diff(groups[order], prepend=groups[order[0]] - 1))
-    held = residuals / np.maximum(1 - own, 1e-6)
-    variances = own / np.maximum(1 - own, 1e-6)
+    held, variances = (each / np.maximum(1 - own, 1e-6) for each in (residuals, own))
     for rows in np.split(order, starts[1:]):
         if len(rows) > 1:
-            hat = (values[rows] * inverse) @ values[rows].T + 1 / len(values)
+            hat = (values[rows] * inverse.T[:, None]) @ values[rows].T + 1 / len(values)
             without = np.linalg.inv(np.eye(len(rows)) * (1 + 1e-6) - hat)
-            held[rows] = without @ residuals[rows]
-            variances[rows] = np.maximum((hat @ without).diagonal(), 0)
+            held[rows] = np.einsum("rij,jr->ir", without, residuals[rows])
+            variances[rows] = np.maximum(np.einsum("rij,rji->ir", hat, without), 0)
     return held, variances
 
 
@@ -297,12 +294,11 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
     mean, deviation = imprints.mean(axis=0), np.maximum(imprints.std(axis=0), LEAST_DEVIATION)
     standard = (imprints - mean) / deviation
     power, turned = np.linalg.eigh(values.T @ values)
-    values, inverse = values @ turned, 1 / (np.maximum(power, 0) + IMPRINT_RIDGE)
+    values, inverse = values @ turned, 1 / (np.maximum(power, 0)[:, None] + IMPRINT_RIDGE)
     at = values.T @ standard
-    off = np.stack(
-        [_held_out(values, values**2, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)], axis=1
-    )
-    weights = turned @ (inverse[:, None] * at) * deviation
+    held = [_held_out(values, values**2, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)]
+    off = np.concatenate(held, axis=1)
+    weights = turned @ (inverse * at) * deviation
     weights[0] += mean
     covariance = off.T @ off / len(off) + LEAST_DEVIATION * np.eye(off.shape[1])
     precision = np.linalg.inv(covariance) / off.shape[1]
@@ -337,7 +333,7 @@ def _coverage(scaled: F64) -> float:
 
 
 def _judged(
-    features: F32, labels: F64, groups: I64, space: _Space, first: _Fit, second: _Fit
+    features: F32, changed_parts: F64, labels: F64, groups: I64, space: _Space, first: _Fit, second: _Fit
 ) -> tuple[tuple[float, float], list[_Solved]]:
     """Limits of leverage and residual for frames like the table's, and the second fit's held-out values, of frames held
     out before the directions (and in a small table the components) were found, because these fit few frames too well.
@@ -350,19 +346,20 @@ def _judged(
         held, rest = fold == part, fold != part
         if not held.any() or rest.sum() < LEAST_ROWS // 2:
             continue
-        known = _space(features[rest]) if whole else replace(space, at=space.at[rest])
-        standard = standardised(features[held], known.mean, known.deviation)
+        known = _space(features[rest], changed_parts[rest]) if whole else replace(space, at=space.at[rest])
+        standard = scaled(features[held], known.mean, known.deviation)
         at = (standard @ known.components).astype(np.float64)
         residuals = residual(standard.astype(np.float64), at, known.scale)
-        found.append((leverage(at, known.spread.astype(np.float64)), residuals))
+        found.append((leverage(at, known.spread), residuals))
         some = [q for q in range(labels.shape[1]) if np.isfinite(labels[rest, q]).any()]
-        basis = _basis(known.at, first[0].width)
+        own, new = coordinates(known.at, known.origin), coordinates(at, known.origin)
+        basis = _basis(own, first[0].width)
         solved = [_solve(basis, labels[rest, q], groups[rest], first[1][q].ridge) for q in some]
-        metric = _metric((basis, solved), known.at, labels[rest][:, some])
-        basis = _basis(known.at @ metric, second[0].width)
-        values = kernel_values(at @ metric, basis.centres, basis.width) @ basis.matrix
+        metric = _metric((basis, solved), own, labels[rest][:, some])
+        basis = _basis(own @ metric, second[0].width)
+        values = kernel(new @ metric, basis.centres, basis.width) @ basis.matrix
         for q in some:
-            held_out[q][:, held] = _of_fold(basis, labels[rest, q], values, at @ metric, second[1][q].ridge)
+            held_out[q][:, held] = _of_fold(basis, labels[rest, q], values, new @ metric, second[1][q].ridge)
     most = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
     judged = []
     for q, one in enumerate(second[1]):

@@ -186,10 +186,10 @@ def _touch(content: Content) -> dict[str, TouchModel]:
     made = {}
     for name, about in _profiles(content, "touch").items():
         shapes = msgspec.convert(about.pop("shapes", None), dict[str, _Shape])
-        if set(shapes) | {"metric"} != set(TOUCH_ARRAYS):
+        if set(shapes) | {"metric", "origin"} != set(TOUCH_ARRAYS):
             raise ValueError("touch model: found other arrays than expected")
-        if "metric" not in shapes:  # learnt before there was one, by other networks, as `make_reconstructor` finds
-            about |= {"metric": np.eye(shapes["components"][-1], dtype=np.float32), "gate_part": 1.0}
+        own = np.eye(shapes["components"][-1], dtype=np.float32)  # of a model learnt before there was one
+        about = {"origin": 0 * own[0], "metric": own, "gate_part": 1.0} | about
         others = [key for key in TOUCH_ARRAYS if key != "components" and key in shapes]
         sizes = [math.prod(shapes[key]) for key in others]
         numbers, components = (content.arrays.get(f"touch_{name}{end}", np.zeros(0)) for end in ("", "_components"))

@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacshade_edge.core.touch.answer import PLAIN, belongs, imprint_of, touch_by_model, touch_without_labels
+from tacshade_edge.core.touch.answer import (
+    PLAIN,
+    belongs,
+    coordinates,
+    imprint_of,
+    predict,
+    touch_by_model,
+    touch_without_labels,
+)
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import F32, F64, TouchedObject, TouchModel
@@ -70,6 +78,20 @@ def test_a_frame_like_the_table_is_answered(model: TouchModel) -> None:
         assert value is not None
         assert sigma is not None
         assert abs(value - LABELS[0, q]) < 3 * sigma
+
+
+def test_a_light_press_has_the_ratios_of_a_deep_one() -> None:
+    origin, direction = RANDOM.normal(size=(2, 9)).astype(np.float32)
+    light, deep = coordinates(origin + np.outer((2, 20), direction).astype(np.float32), origin)[:, 9:]
+    np.testing.assert_allclose(light, deep, rtol=0.02)
+    assert not coordinates(origin[None], origin)[:, 9:].any()
+
+
+def test_a_model_learnt_without_ratios_answers_as_before(model: TouchModel) -> None:
+    size = len(model.origin)
+    plain = replace(model, metric=model.metric * (np.arange(2 * size) < size)[:, None].astype(np.float32))
+    older = replace(model, metric=model.metric[:size])
+    np.testing.assert_allclose(predict(older, FEATURES[0])[0], predict(plain, FEATURES[0])[0], rtol=1e-5)
 
 
 def test_one_unlike_it_is_not(model: TouchModel) -> None:
