@@ -66,7 +66,8 @@ def calibrate(
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
     warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
-    if not sensor.visible_circle and (unsure := pattern.rim_warning(unloaded.reference_grey, unloaded.geometry.disc)):
+    judge = pattern.stated_warning if sensor.visible_circle else pattern.rim_warning
+    if unsure := judge(unloaded.reference_grey, unloaded.geometry.disc):
         warnings = (unsure, *warnings)
     if sensor.polarity and not any(press.x_mm is not None for press in presses):
         warnings += _doubted_polarity(sensor.polarity, shown_polarity(unloaded))

@@ -26,6 +26,7 @@ from tacshade_edge.core.calibration.reference.pattern import (
     marker_pitch_px,
     mean_image,
     rim_warning,
+    stated_warning,
     view,
     visible_disc,
 )
@@ -349,6 +350,21 @@ def answer(grey: U8, true: Disc) -> tuple[str, float]:
         numbers = STATED.search(str(refusal))
         return "refused", error(Disc(*map(float, numbers.groups())), true) if numbers else np.nan
     return "warned" if rim_warning(grey, found) else "found", error(found, true)
+
+
+@pytest.mark.parametrize(
+    ("stated", "doubted"),
+    [
+        (Disc(118.2, 163.8, 102.5), False),
+        (Disc(118.2, 163.8, 93.0), False),  # on purpose: without a poor rim
+        (Disc(118.2, 163.8, 10.25), True),
+        (Disc(118.2, 163.8, 75.0), True),
+        (Disc(163.8, 118.2, 102.5), True),
+    ],
+)
+def test_a_stated_circle_without_the_markers_is_doubted(stated: Disc, doubted: bool) -> None:
+    for model in (HALF, TACTIP):
+        assert bool(stated_warning(to_grey(references(model)[0]), stated)) == doubted
 
 
 FOUND = {

@@ -48,10 +48,10 @@ class MarkerField:
         """Row and column of the outermost markers, (N, 2)."""
         return np.asarray(cv2.convexHull(self.markers_px.astype(np.float32))[:, 0], np.float64)
 
-    def holds(self, disc: Disc) -> bool:
-        """Whether nearly all markers lie in a circle."""
+    def holds(self, disc: Disc, part: float = _HELD_PART) -> bool:
+        """Whether nearly all markers, or this part of them, lie in a circle."""
         far = np.linalg.norm(self.markers_px - (disc.row_c, disc.col_c), axis=1)
-        return bool(np.mean(far <= disc.radius_px + _CUT_PITCHES * self.pitch_px) >= _HELD_PART)
+        return bool(np.mean(far <= disc.radius_px + _CUT_PITCHES * self.pitch_px) >= part)
 
     def filled_part(self, disc: Disc, shape: tuple[int, ...]) -> float:
         """Part of a circle's visible area that lies within a pitch of a marker, 0 to 1."""

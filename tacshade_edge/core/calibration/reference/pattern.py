@@ -50,6 +50,8 @@ _GUESSED = 0.35
 # a coarse one, 0.39 on a dome seen orthographically). The circle of lamps around real domes with pins in their middle
 # is filled by 0.26 to 0.36, and the pins end before it.
 _FILLED, _HALF_FILLED = 0.75, 0.37
+# A stated circle holds at least this part of the markers: true ones hold all, those a tenth too small 0.9 or more.
+_STATED_PART = 0.85
 
 
 # Least part of the rim in the image; with less, the pattern ends at the image's own border.
@@ -92,6 +94,15 @@ def rim_warning(grey: U8, disc: Disc) -> str:
     if _ending_part(grey, disc) >= _ENDING:
         return ""
     return f"visible circle: found the circle around the outermost markers, not a rim that ends them{_advice(disc)}"
+
+
+def stated_warning(grey: U8, disc: Disc) -> str:
+    """A warning if a stated circle leaves out many markers, as by a wrong digit or swapped axes; empty otherwise."""
+    field = find_markers(grey)
+    if not field or field.holds(disc, _STATED_PART):
+        return ""
+    outside = f"found {100 * (1 - _STATED_PART):.0f} % or more of the markers outside it"
+    return f"SENSOR.yaml: visible_circle: {outside}, expected nearly all inside; `--plot` draws both"
 
 
 def _advice(guess: Disc) -> str:
