@@ -76,8 +76,9 @@ PAGES = {
         r"|foreign: no skin|light x0)[^|]*\| \d+ \| ",
     ),
     "tradeoff": Page(
-        {"": "tacshade_edge tradeoff --plot"},
-        r"^(networks|MiB|idle ms|fps, 4 fingers)$|^(contact|cloud|sigma) \|",
+        {"": "tacshade_edge tradeoff --plot", "Three users": "tools.benchmarks.users"},
+        r"^(networks|MiB|idle ms|fps, 4 fingers)$|^(contact|cloud|sigma|shear \| (fast|balanced)) \|"
+        r"|^(# |profile:|source:|  )",
         idle=True,
         drawn=("tradeoff.png",),
         own=("tacshade_edge/studies",),
