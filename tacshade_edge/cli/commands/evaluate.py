@@ -15,6 +15,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.quoting import encodable
+from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.press import OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
@@ -106,7 +107,7 @@ def _labelled(args: argparse.Namespace) -> int:
     study.make_folder(args.out)
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}
-    known, mistakes, progress = [], 0, Progress()
+    known, mistakes, refused, progress = [], 0, "", Progress()
     for k, each in enumerate(table):
         progress("frames", k, len(table))
         try:
@@ -117,7 +118,9 @@ def _labelled(args: argparse.Namespace) -> int:
             continue
         known.append(each.known)
         for profile, one in made.items():
-            rows[profile].append(labels.found_row(encodable(each.path.name), one.step(Frame(0, 0, 0, image))))
+            result = one.step(Frame(0, 0, 0, image))
+            refused = refused or text_of(result.reason)
+            rows[profile].append(labels.found_row(encodable(each.path.name), result))
     progress("frames", len(table), len(table))
     if not known:
         raise ConfigError(f"{args.labels}: found no readable image, expected at least one in {args.images}")
@@ -126,6 +129,6 @@ def _labelled(args: argparse.Namespace) -> int:
     texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
     study.publish(args, "labels", *texts, labels.document(every, made_of))
     if not any(row.contact or not row.refused for row in every):
-        warn(f"{args.images}: every frame is invalid, the first: {every[0].refused}; are they this calibration's?")
+        warn(f"{args.images}: every frame is invalid, the first: {refused}; are they this calibration's?")
         return 1
     return 1 if mistakes else 0
