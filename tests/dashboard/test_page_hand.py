@@ -129,6 +129,11 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     wait_until(released, 20, "a release whose map was lost")
 
 
+def test_a_hand_is_not_called_old_before_its_first_word(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+    opened(page, hand[0], "hand/right")
+    shows(page, "whole-state", "No word from this hand yet.")
+
+
 def moved_by(x_mm: float, turned_deg: float) -> dict[str, object]:
     """A motion as objects of a hand's message have it."""
     where = {"about_mm": [0, 0, 0], "translation_mm": [x_mm, 0, 0], "rotation_deg": [0, turned_deg, 0]}

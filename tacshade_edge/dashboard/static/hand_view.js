@@ -117,10 +117,11 @@ export class Whole {
   showState() {
     if (this.shown === null) return;
     const state = this.states.get(this.shown), works = state === "online" && this.link()?.connected;
+    const waits = state === undefined && this.link()?.connected;
     const old_ms = performance.now() - (this.heard_ms ?? this.shown_ms), stale = !works || old_ms > STALE_MS;
     $("whole").classList.toggle("is-stale", stale);
-    $("whole-state").dataset.level = works ? levelOf(state) : "bad";
-    $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what you see is old.` : stale ? "This hand publishes nothing: what you see is old." : `${this.shown}: ${state}`;
+    $("whole-state").dataset.level = works ? levelOf(state) : waits ? "warn" : "bad";
+    $("whole-state").textContent = waits ? "No word from this hand yet." : !works ? `This hand is ${state ?? "unknown"}: what you see is old.` : stale ? "This hand publishes nothing: what you see is old." : `${this.shown}: ${state}`;
     for (const [name, { caption, figure, map }] of this.fingers) {
       const { state = "away", reason_code = "", objects = [] } = this.message.fingers[name] ?? {}, [greatest] = objects;
       const depth = greatest && map?.flags & CONTACT ? `${number(greatest.depth_max_mm, 2)} mm` : `${state}${reason_code ? `: ${reason_code}` : ""}`;
