@@ -1,5 +1,6 @@
 """The command `run` with sensors that have rings of images in memory; a process of the benchmarks and the soak test."""
 
+import gc
 import signal
 import sys
 from pathlib import Path
@@ -32,4 +33,5 @@ def work(part: Document | Hand) -> int:
     return 0
 
 
+gc.freeze()  # as `run` does
 leave(Supervisor(documents, hand, lines.end).run(work) if len(documents) > 1 else work(documents[0]))
