@@ -95,6 +95,7 @@ def script() -> HandScript:
     return moved.moved(pulled, 1.6).held(1.0).fingers_back(open_mm, 1.0).moved(rests, 0.4)
 
 
+_GRASPED_S: Final = 2.5  # no drawn step, whose picture has another name
 _STEPS: Final = round(script().times_s[-1] / STEP_S)
 
 
@@ -114,13 +115,16 @@ def write(folder: Path, port: int) -> Path:
 
 
 def play(folder: Path) -> Generator[None, None, None]:
-    """Draw the round on all cores, then show every finger its current picture; call `next` once per step."""
-    drawn = list[list[Path]]()
+    """Show the grasp, draw the round on all cores (half a minute of one), then play it; call `next` once per step."""
+    shown, drawn = dict[str, Path](), list[list[Path]]()
     with workers() as pool:
-        for pictures in pool.map(_draw, [(folder, name) for name in FINGERS]):
-            drawn.append(pictures)
-            yield
-    begin_s, shown = time.monotonic(), dict[str, Path]()
+        for times_s in ((0.0, _GRASPED_S), [k * STEP_S for k in range(_STEPS)]):
+            drawn.clear()
+            for pictures in pool.map(_draw, [(folder, name, times_s) for name in FINGERS]):
+                drawn.append(pictures)
+                yield
+            _show(folder, drawn, 1, shown)
+    begin_s = time.monotonic()
     while True:
         _show(folder, drawn, int((time.monotonic() - begin_s) / STEP_S) % _STEPS, shown)
         yield
@@ -136,19 +140,19 @@ def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[
             following.replace(folder / name / _SEEN)
 
 
-def _draw(task: tuple[Path, str]) -> list[Path]:
-    """Draw what one finger sees and return a path per step; steps of the same skin share one."""
+def _draw(task: tuple[Path, str, Sequence[float]]) -> list[Path]:
+    """Draw what one finger sees at some times and return a path for each; those of the same skin share one."""
     folder, name = task[0] / task[1], task[1]
     sensor = SimulatedSensor(_MODEL)
     fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]
     round_of = script()
-    placements = [round_of.at(k * STEP_S) for k in range(_STEPS)]
+    placements = [round_of.at(time_s) for time_s in task[2]]
     by_skin, drawn = dict[int, Path](), list[Path]()
     felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.press else 0
         if key not in by_skin:
-            by_skin[key] = folder / f"{k:03d}.png"
+            by_skin[key] = folder / f"{task[2][k]:05.2f}.png"
             picture = sensor.picture(felt.skin, noise_seed=k)
             cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
         drawn.append(by_skin[key])

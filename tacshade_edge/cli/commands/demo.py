@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         end_if_asked()
         if args.hand:
             settings = demo_hand.write(folder, mqtt)
-            what = "Five simulated fingers soon hold a bottle"
+            what = "Five simulated fingers hold a bottle, which soon moves"
         else:
             settings = folder / "settings.yaml"
             settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
