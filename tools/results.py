@@ -115,9 +115,9 @@ PAGES = {
     ),
     "touch": Page(
         {
-            "": "tools.studies.touch force out/real/tactile-manibot --profile accurate --labels 400 100",
+            "": "tools.studies.touch force out/real/tactile-manibot --profile accurate",
             "Thresholded frames of another robot": "tools.studies.touch plates out/real/tactile_data_shear"
-            " --profile accurate --labels 400 100",
+            " --profile accurate --labels 4000 400 100",
         },
         r"^(Mean absolute|Published: )",
         drawn=("touch.png",),

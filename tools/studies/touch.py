@@ -139,7 +139,7 @@ def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """Mean absolute errors, what 90 % intervals hold, part without an answer, and seconds of learning; the judged
+    """Mean absolute errors, what 90 % intervals hold, part without an answer, and CPU seconds of learning; the judged
     frames' labels, answers and half intervals, NaN without an answer.
     """
 
@@ -157,10 +157,10 @@ def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score
     random = np.random.default_rng(seed)
     taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
     taught = taught[frames.usable[taught]]
-    began_s = time.monotonic()
+    began_s = time.process_time()
     table = frames.features[taught], frames.imprints[taught], frames.changed_parts[taught]
     learnt = learn(*table, names, frames.labels[taught], np.arange(len(taught), dtype=np.int64), "study")
-    learning_s = time.monotonic() - began_s
+    learning_s = time.process_time() - began_s
     labels, model = frames.labels[judged], learnt.model
     answers, half = np.full(labels.shape, np.nan), np.full(labels.shape, np.nan)
     for k, at in enumerate(judged):
@@ -226,7 +226,7 @@ def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequen
                     f"{np.mean([one.learning_s for one in scores]):.1f}",
                 )
             )
-    columns = ("", "labels", *robot.shown, "90 % intervals hold", "no answer", "learning, s")
+    columns = ("", "labels", *robot.shown, "90 % intervals hold", "no answer", "learning, CPU s")
     print(markdown(columns, lines))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     print(f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB.")

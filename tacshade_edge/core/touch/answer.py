@@ -112,7 +112,7 @@ def residual(standard: Floats, at: Floats, scale: float) -> Floats:
 
 
 def unreached(at: Floats, values: Floats) -> Floats:
-    """The kernel's variance that the basis functions leave out, (n,): no label lowers it ([1] 8.3)."""
+    """The kernel's variance that the basis functions leave out, (n,): no label lowers it (section 8.3)."""
     own = 1 + LINEAR**2 * (at * at).sum(axis=1)
     left: Floats = np.maximum(own - (values * values).sum(axis=1), 0)
     return left
