@@ -57,9 +57,13 @@ def run(user: str, block: str, folder: Path, port: int, args: argparse.Namespace
     names = [f"{user}{k}" for k in range(fingers)]
     for name in names:
         calibration_file.save(folder / f"{name}.npz", halved_calibration(calibration) if half else calibration)
-    own = {name: f"{{calibration: {name}.npz, source: {{kind: simulated}}}}" for name in names}
-    text = f"profile: {profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nsensors:\n"
-    (folder / f"{user}.yaml").write_text(text + "".join(f"  {name}: {each}\n" for name, each in own.items()))
+    text = f"profile: {profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
+    if fingers == 1:
+        text += f"sensor_id: {names[0]}\ncalibration: {names[0]}.npz\nsource: {{kind: simulated}}\n"
+    else:
+        own = (f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}\n" for name in names)
+        text += "sensors:\n" + "".join(own)
+    (folder / f"{user}.yaml").write_text(text)
     found = measure(user, folder, port, names, args, fingers, topics)
     figures = [f"{found[key]:.1f}" for key in ("rate", "p50_ms", "p99_ms")]
     figures += [str(found["lost"]), f"{found['cpu']:.2f}", f"{found['memory_mb']:.0f}"]
