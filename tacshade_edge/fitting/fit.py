@@ -29,7 +29,8 @@ from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES, Profile
 from tacshade_edge.fitting import training
-from tacshade_edge.fitting.identify import PARAMETERS, Found, identify
+from tacshade_edge.fitting.identify import identify
+from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import LEAST_PRESSES, Frames, Mechanics, Steps, likely_mechanics, simulate
 from tacshade_edge.inference.network import SHEAR, load_network, network_files, network_size, shipped_layout
@@ -107,7 +108,7 @@ what the shipped network knows of other skins (M. Wortsman et al., Robust fine-t
 """
 PART_ALONE = {"accurate": 0.25, SHEAR: 0.25, "balanced": 0.5, "fast": 0.5}
 """The part without presses that judge: less for networks that know other skins better."""
-LIKELY = 1.04
+LIKELY = 1.02
 """A kind of print that leaves at most this many times the best one's part unexplained belongs to the cloud. Kinds that
 leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
 MOST_WORKERS = 4

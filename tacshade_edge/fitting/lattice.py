@@ -35,14 +35,17 @@ class Lattice:
 
     values: F64
 
-    def points(self, radius_mm: float, limit_mm: float, parts: Sequence[tuple[float, float]]) -> F64:
-        """The points of the lattice, shifted by parts of its steps, within a limit."""
-        o, a, b, k = self.values[0:2], self.values[2:4], self.values[4:6], self.values[6]
-        n = math.ceil(1.5 * limit_mm / min(np.linalg.norm(a), np.linalg.norm(b))) + 2
-        i, j = (each.ravel() for each in np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
-        flat = np.concatenate([o + (i + u)[:, None] * a + (j + v)[:, None] * b for u, v in parts])
-        points = flat * (1 + k * (flat * flat).sum(axis=1, keepdims=True) / radius_mm**2)
-        return np.asarray(points[np.linalg.norm(points, axis=1) < limit_mm])
+    def at(self, steps: F64, radius_mm: float) -> F64:
+        """The points (N, 2) that are so many steps (N, 2) from the origin."""
+        flat = self.values[0:2] + steps @ self.values[2:6].reshape(2, 2)
+        return np.asarray(flat * (1 + self.values[6] * (flat * flat).sum(axis=1, keepdims=True) / radius_mm**2))
+
+    def steps(self, radius_mm: float, limit_mm: float, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)) -> F64:
+        """Numbers of steps (N, 2), shifted by parts of steps, that end within a limit."""
+        n = math.ceil(1.5 * limit_mm / np.linalg.norm(self.values[2:6].reshape(2, 2), axis=1).min()) + 2
+        whole = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)), axis=-1).reshape(-1, 2)
+        steps = np.concatenate([whole + np.array(part) for part in parts])
+        return np.asarray(steps[np.linalg.norm(self.at(steps, radius_mm), axis=1) < limit_mm])
 
 
 Layout = Tips | Lattice

@@ -22,7 +22,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.fitting.identify import BLURS_PX, Found, TwinRenderer, WhiteMap, print_of
+from tacshade_edge.fitting.prints import BLURS_PX, Found, TwinRenderer, WhiteMap, print_of
 from tacshade_edge.fitting.skins import (
     NUISANCE_PART,
     Unevenness,

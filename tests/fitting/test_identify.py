@@ -18,7 +18,7 @@ from tacshade_edge.simulator.skin import Skin, press_skin
 from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.identify import Found
+    from tacshade_edge.fitting.prints import Found
 
 pytestmark = [
     pytest.mark.fit,

@@ -24,7 +24,7 @@ from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.identify import Found
+    from tacshade_edge.fitting.prints import Found
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.

@@ -41,7 +41,8 @@ from tacshade_edge.core.depth.sigma import INTERVAL_90
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.fitting.fit import fit
-from tacshade_edge.fitting.identify import PARAMETERS, identify
+from tacshade_edge.fitting.identify import identify
+from tacshade_edge.fitting.prints import PARAMETERS
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge

@@ -39,8 +39,8 @@ from tacshade_edge.studies.tradeoff.measure import (
 from tacshade_edge.types import F32, Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.identify import Kind
     from tacshade_edge.fitting.lattice import Layout
+    from tacshade_edge.fitting.prints import Kind
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -152,7 +152,7 @@ def _report(args: argparse.Namespace) -> int:
 def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     """A simulation of the user's sensor, from its calibration's reference."""
     need("tradeoff --calibration without --images", "fit", "numba")
-    from tacshade_edge.fitting import identify, lattice
+    from tacshade_edge.fitting import identify, lattice, prints
 
     calibration = calibrations.load(args.calibration)
     small, times = calibration, 1
@@ -166,9 +166,9 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     if isinstance(layout, lattice.Tips):
         layout = lattice.Tips(layout.px * times + (times - 1) / 2)
     at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px"), calibration
-    seen = {name: getattr(identify.base_model(whole), name) for name in at}
+    seen = {name: getattr(prints.base_model(whole), name) for name in at}
     model = replace(model, blur_px=model.blur_px * times, **seen)
-    make = partial(Twin, model, found[0].kind, layout, identify.seen_light(whole)[0])
+    make = partial(Twin, model, found[0].kind, layout, prints.seen_light(whole)[0])
     sensor = make()
     greys = [to_grey(sensor.frame((), REFERENCE_NOISE + k).image) for k in range(REFERENCES)]
     return Simulation("twin", None, make, with_reference(whole, greys))
@@ -178,7 +178,7 @@ class Twin:
     """A simulated sensor with a print that was found (`fitting.identify`)."""
 
     def __init__(self, model: SensorModel, kind: Kind, layout: Layout, light: F32) -> None:
-        from tacshade_edge.fitting.identify import TwinRenderer, print_of
+        from tacshade_edge.fitting.prints import TwinRenderer, print_of
 
         self.model = model
         self._renderer = TwinRenderer(model, kind, print_of(model, kind, layout), light)
