@@ -37,7 +37,7 @@ GATE_QUANTILE, GATE_SHARE = 0.01, 0.8
 SEEN_ERRORS = 2.0  # least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`
 SEEN = 0.1
 Z_90 = 1.645
-ANOTHER = 3.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile,
+ANOTHER = 5.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile,
 # and beyond `UNLIKE` times their 99.5th
 IMPRINT_RIDGE = 3.0
 LEAST_DEVIATION = 1e-3  # of an imprint's number over the table, in mm, and of held-out variance relative to the table's
