@@ -39,9 +39,7 @@ class ConfigError(TacshadeError):
 
 
 class DeviceError(TacshadeError):
-    """Something outside (a camera, serial line, broker or disk) failed and may come back: retry; exit 1 in a one-shot
-    command.
-    """
+    """Something outside (camera, robot, broker, disk) failed and may come back: retry; exit 1 in a one-shot command."""
 
     _code = ReasonCode.DEVICE
 

@@ -49,9 +49,7 @@ _V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A valid settings file, with absolute paths. `found` is the place of each given key; `several`: it has
-    ``sensors``.
-    """
+    """A valid settings file, with absolute paths. `found`: each given key's place; `several`: it has ``sensors``."""
 
     path: Path
     settings: Settings

@@ -96,7 +96,5 @@ def normalise(values: F32, inside: Bool) -> F32:
 
 
 def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
-    """Eq. 10 and its normalisation: g_hn, 0 to 1. Apply the gate first: without contact this stretches noise to that
-    range.
-    """
+    """Eq. 10 and its normalisation: g_hn, 0 to 1. Apply the gate first: without contact this stretches noise to it."""
     return normalise(normalise(g_d, inside) * g0, inside)

@@ -167,9 +167,7 @@ class PoseBuffer:
         self._poses.clear()
 
     def at(self, t_ns: int) -> InterpolatedPose | None:
-        """The pose at a time between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the
-        newest.
-        """
+        """The pose between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest."""
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:
             return None

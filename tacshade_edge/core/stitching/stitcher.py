@@ -151,9 +151,7 @@ class SurfaceMap:
         return np.asarray(z_mm[i - window.row, j - window.col])
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
-        """The map's bounding box as one array, with cells below `min_weight` as holes; one empty cell before the first
-        contact.
-        """
+        """The map's bounding box as an array; cells below `min_weight` are holes; one empty cell before any contact."""
         places = list(zip(*self._tiles, strict=True)) or [(0,), (0,)]
         (top, bottom), (left, right) = ((min(each), max(each)) for each in places)
         whole = np.full(((bottom - top + 1) * TILE, (right - left + 1) * TILE), np.nan, np.float32)
@@ -220,9 +218,7 @@ class _Press:
 
 
 class Stitcher:
-    """Collects presses; the map so far is available at any time, the refined one at the end. `apex_mm` is the skin's
-    radius.
-    """
+    """Collects presses; the map so far is there any time, the refined one at the end. `apex_mm`: the skin's radius."""
 
     def __init__(self, apex_mm: float) -> None:
         self._apex = np.array((0.0, 0.0, apex_mm))
