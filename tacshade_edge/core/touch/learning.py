@@ -171,15 +171,14 @@ def learn(
 
 def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
     """The fit of the kernel width with the least held-out error."""
-    tried = []
-    for width in WIDTHS:
+
+    def tried(width: float) -> tuple[float, _Basis, list[_Solved]]:
         basis = _basis(at, width)
         solved = [_solve(basis, column, groups) for column in labels.T]
         # Logarithms, so that a quantity that no frame shows chooses nothing.
-        errors = [np.log(np.abs(one.residuals).mean() + 1e-300) for one in solved]
-        tried.append((float(np.mean(errors)), basis, solved))
-    _, best, found = min(tried, key=lambda one: one[0])
-    return best, found
+        return float(np.mean([np.log(np.abs(one.residuals).mean() + 1e-300) for one in solved])), basis, solved
+
+    return min(map(tried, WIDTHS), key=lambda one: one[0])[1:]  # holds two fits at a time, not all
 
 
 def _metric(fit: _Fit, at: F64, labels: F64) -> F64:
