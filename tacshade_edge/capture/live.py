@@ -100,14 +100,6 @@ def rest_grey_of(blocks: Sequence[F32]) -> float:
     return rest_grey
 
 
-@dataclass(frozen=True, slots=True)
-class _Past:
-    """The parts of a past frame that motion needs."""
-
-    t_ns: int
-    blocks: F32
-
-
 @dataclass(eq=False)
 class Live:
     """An open source whose frames are read during every wait."""
@@ -119,7 +111,7 @@ class Live:
     rest_grey: float = 0.0  # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
 
     def __post_init__(self) -> None:
-        self._past: deque[_Past] = deque(maxlen=_PAST_FRAMES)
+        self._past: deque[tuple[int, F32]] = deque(maxlen=_PAST_FRAMES)  # time in ns and block means of past frames
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
         self._looking = False  # whether the person may be adjusting lens and circle
@@ -190,10 +182,10 @@ class Live:
 
     def _motion_grey(self) -> float | None:
         """Motion within the last `STILL_S`, in grey levels; None until enough frames have come."""
-        newest_ns = self._past[-1].t_ns
-        recent = [one.blocks for one in self._past if newest_ns - one.t_ns <= 1e9 * STILL_S]
+        newest_ns, _ = self._past[-1]
+        recent = [blocks for t_ns, blocks in self._past if newest_ns - t_ns <= 1e9 * STILL_S]
         if len(recent) < _LEAST_FRAMES:
-            recent = [one.blocks for one in self._past][-_LEAST_FRAMES - 1 :]
+            recent = [blocks for _, blocks in self._past][-_LEAST_FRAMES - 1 :]
         if len(recent) == len(self._past) < _PAST_FRAMES:
             return None  # the frames do not reach back far enough yet
         spread = np.linspace(0, len(recent) - 1, STILL_FRAMES).round().astype(int)
@@ -201,11 +193,14 @@ class Live:
 
     def _take(self, frame: Frame) -> None:
         grey, now_s = to_grey(frame.image), time.monotonic()
-        if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
+        if self._past and self._past[-1][1].shape != (grey.shape[0] // 8, grey.shape[1] // 8):
             raise DeviceError(f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px")
-        self._past.append(_Past(frame.t_ns, block_means(grey)))
+        self._past.append((frame.t_ns, block_means(grey)))
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
-            self._find_pattern(grey)
+            try:
+                self._pattern = find_pattern(grey, self.circle)
+            except ConfigError as error:
+                self._pattern, self._no_pattern = None, str(error)
             self._pattern_due_s = time.monotonic() + _PATTERN_S
         if now_s >= self._figures_due_s:
             self._text = self._figures_of(grey)
@@ -214,12 +209,6 @@ class Live:
             disc = self.circle or (self._pattern.disc if self._pattern else None)
             self.page.shown = Shown(_jpeg(grey, disc), self._text)
             self._picture_due_s = now_s + _PICTURE_S
-
-    def _find_pattern(self, grey: U8) -> None:
-        try:
-            self._pattern = find_pattern(grey, self.circle)
-        except ConfigError as error:
-            self._pattern, self._no_pattern = None, str(error)
 
     def _figures_of(self, grey: U8) -> str:
         if self._pattern is None:

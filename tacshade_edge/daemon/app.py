@@ -370,7 +370,12 @@ class App:
             self._published_camera = camera
             for observer in self._observers:
                 observer.source_changed(camera)
-            self._log_camera(camera)
+            reason = camera.reason
+            if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
+                _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
+            else:
+                fix = sources.how_to_fix(self._document.settings.source, reason.code)
+                _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
             self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
         if limit != self._published_limit:
             self._published_limit = limit
@@ -378,15 +383,6 @@ class App:
         if camera.state != "ended":
             sound = camera.state == "streaming" and limit is None
             self.link.set_retained("state", b"online" if sound else b"degraded")
-
-    def _log_camera(self, camera: SourceState) -> None:
-        """Log a warning for a source that is away or unusable, and a line of information for any other state."""
-        reason = camera.reason
-        if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
-            _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
-        else:
-            fix = sources.how_to_fix(self._document.settings.source, reason.code)
-            _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
 
     def _publish_info(self) -> None:
         reconstructor = self._active.reconstructor

@@ -26,7 +26,7 @@ from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, Event
 from tacshade_edge.types import Calibration, Frame
 from tacshade_edge.version import installed_version
 
@@ -102,15 +102,6 @@ class Shot:
     @property
     def t_ns(self) -> int:
         return self.frame.t_ns
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that a person who looks at the recording must know."""
-
-    t_ns: int
-    kind: str
-    data: Mapping[str, object]
 
 
 Kept = Shot | Event | Literal["end"]

@@ -259,12 +259,9 @@ class ReplayLink:
             on_request=self._on_request,
             on_outcome=self._on_outcome,
         )
-        self._playback: Playback | None = None
+        self.playback: Playback | None = None
         self._reported_s = 0.0
         self._publisher = Publisher(self._offer, self._link.publish_event, lambda *_: None)
-
-    def obey(self, playback: Playback) -> None:
-        self._playback = playback
 
     def report_playback(self, status: dict[str, Any]) -> None:
         """Publish the retained ``status/replay``."""
@@ -295,9 +292,9 @@ class ReplayLink:
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
         self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
-        if self._playback is not None and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S:
+        if self.playback is not None and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S:
             self._reported_s = now_s
-            self.report_playback(self._playback.status())
+            self.report_playback(self.playback.status())
         if self._wait:
             with self._changed:
                 if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
@@ -310,7 +307,7 @@ class ReplayLink:
 
     def stop(self) -> None:
         self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
-        if self._playback is not None:
+        if self.playback is not None:
             self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))
         self._link.stop(STOP_S)
 
@@ -325,9 +322,9 @@ class ReplayLink:
             self._changed.notify_all()
 
     def _on_request(self, request: Request) -> None:
-        if request.playback is not None and self._playback is not None:
+        if request.playback is not None and self.playback is not None:
             self._reported_s = 0.0
-            status = self._playback.command(request.playback)
+            status = self.playback.command(request.playback)
             self._link.reply(request, requests.encode_reply(request, status))
             return
         refusal = Reason(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import msgspec
 
@@ -182,12 +182,6 @@ class TouchEvents:
         return TouchSeen(result.seq, result.t_ns, result.contact, numbers)
 
 
-class Sessions(Protocol):
-    """Stitching sessions, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
-
-    def submit(self, action: str, name: str, reply: Reply) -> None: ...
-
-
 @dataclass(slots=True, eq=False)
 class SerialCommands:
     """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them."""
@@ -198,7 +192,7 @@ class SerialCommands:
     missing: Callable[[], Reason | None]
     wake: Callable[[], None]  # called when an answer waits to be sent
     touch: TouchEvents
-    sessions: Sessions | None = None
+    stitch: Callable[[str, str, Reply], None] | None = None  # BEGIN, ADD, END, ABORT or STATUS, and a name
     _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(default_factory=SimpleQueue)
     _captures: FrameWaiters = field(default_factory=partial(FrameWaiters, "captures are already waiting"))
 
@@ -219,9 +213,9 @@ class SerialCommands:
             self._captures.put(command.arrived_ns, partial(self._answer, command))
         elif command.verb == "REFERENCE":
             self.on_request(Request("reference"), partial(self._answer, command))
-        elif command.verb == "STITCH" and self.sessions is not None:
+        elif command.verb == "STITCH" and self.stitch is not None:
             action, *name = command.args
-            self.sessions.submit(action, name[0] if name else "", partial(self._answer, command))
+            self.stitch(action, name[0] if name else "", partial(self._answer, command))
         else:
             text = f"this daemon is not ready to {command.verb.lower()}"
             link.answer(command, Reason(ReasonCode.UNAVAILABLE, text))

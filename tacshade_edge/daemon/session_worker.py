@@ -59,10 +59,7 @@ class SessionState:
     folder: str = ""  # of the latest map
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    run: Callable[[], SessionResult]
-    reply: Reply
+_Job = tuple[Callable[[], SessionResult], Reply]
 
 
 class Sessions(FrameObserver):
@@ -91,7 +88,7 @@ class Sessions(FrameObserver):
         self.publish_map: Callable[[MapRevision], bool] = MapPublisher(publish).publish
         self._robot = robot
         if robot:
-            robot.commands.sessions = self
+            robot.commands.stitch = self.submit
         self._automatic = automatic
         self._jobs: SimpleQueue[_Job | Literal["stop"]] = SimpleQueue()
         self._adds = FrameWaiters("presses are already waiting for a frame")
@@ -162,7 +159,7 @@ class Sessions(FrameObserver):
         elif self._jobs.qsize() >= WAITING_MAX:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
         else:
-            self._jobs.put(_Job(partial(self._command, action, name), reply))
+            self._jobs.put((partial(self._command, action, name), reply))
 
     def _observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
         """Add the frame if an ``ADD`` waits for it, or if its contact has come to rest."""
@@ -187,7 +184,7 @@ class Sessions(FrameObserver):
             points = press_points(result.height, calibration.geometry)
             flange_T_sensor = from_seven(calibration.flange_T_sensor)
             add = partial(self._add, points, replace(frame, image=_NO_IMAGE), flange_T_sensor)
-            self._jobs.put(_Job(add, replies.pop(0)))
+            self._jobs.put((add, replies.pop(0)))
         for reply in replies:  # the same frame twice would be the same press twice
             reply(refusal or Reason(ReasonCode.BUSY, f"frame {result.seq} is already being added"))
 
@@ -199,14 +196,14 @@ class Sessions(FrameObserver):
 
     def _note_missed(self, outcome: SessionResult | Reason) -> None:
         """Take the outcome for a contact at rest, which nobody waits for."""
-        missed = isinstance(outcome, Reason)
+        reason = None
         if isinstance(outcome, Reason):
             _log.warning("did not add a settled contact: %s", outcome)
+            reason = Reason(outcome.code, f"did not add the latest contact: {outcome}")
         with self._lock:
-            text = f"did not add the latest contact: {outcome}"
-            self._missed_reason = Reason(outcome.code, text) if isinstance(outcome, Reason) else None
-            self._missed += missed
-            self._counts["missed"] += missed
+            self._missed_reason = reason
+            self._missed += reason is not None
+            self._counts["missed"] += reason is not None
 
     # The thread runs these.
 
@@ -218,13 +215,14 @@ class Sessions(FrameObserver):
                 if self._session is not None:
                     self._deferred = self.publish_map(self._session.map_revision())
                 continue
+            run, reply = job
             outcome: SessionResult | Reason
             try:
-                outcome = job.run()
+                outcome = run()
             except TacshadeError as error:
                 outcome = error.reason
             self._show_state()
-            job.reply(outcome)
+            reply(outcome)
             if isinstance(outcome, SessionEnded | SessionAborted):
                 return_free_memory()  # a full map took 300 MB
         if self._session is not None:

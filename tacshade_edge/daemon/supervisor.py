@@ -130,7 +130,11 @@ class Supervisor:
                 if isinstance(key.data, _Part):
                     self._hear(key.data)
                 else:
-                    self._handle(set(signals.recv(4096)))
+                    numbers = set(signals.recv(4096))
+                    if numbers & {signal.SIGTERM, signal.SIGINT}:
+                        self._stop()
+                    elif signal.SIGHUP in numbers and self._stopping_s is None:
+                        self._reload()
             self._reap()
 
     def _start(self, part: _Part) -> bool:
@@ -170,12 +174,6 @@ class Supervisor:
                 elif key in ("READY", "WATCHDOG"):
                     part.heard_s = time.monotonic()
                     part.ready = True
-
-    def _handle(self, numbers: set[int]) -> None:
-        if numbers & {signal.SIGTERM, signal.SIGINT}:
-            self._stop()
-        elif signal.SIGHUP in numbers and self._stopping_s is None:
-            self._reload()
 
     def _stop(self) -> None:
         if self._stopping_s is not None:

@@ -23,7 +23,7 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations, links
 from tacshade_edge.protocol.codec import decode_object
-from tacshade_edge.settings import Document, Settings, to_yaml
+from tacshade_edge.settings import Document, to_yaml
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import png
@@ -53,7 +53,10 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     }
     secrets: tuple[str, ...] = ()
     if seen.document is not None:
-        texts["settings.yaml"] = to_yaml(_without_user(seen.document.settings))
+        settings, mqtt = seen.document.settings, seen.document.settings.mqtt
+        hidden = {name: getattr(mqtt, name) and _LEFT_OUT for name in ("username", "password_file")}
+        shown = msgspec.structs.replace(settings, mqtt=msgspec.structs.replace(mqtt, **hidden))
+        texts["settings.yaml"] = to_yaml(shown)
         texts["calibration.json"] = _json(_calibration(seen.document))
         secrets = _secrets(seen.document)
     packed = io.BytesIO()
@@ -71,11 +74,6 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _LEFT_OUT)
     return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
-
-
-def _without_user(settings: Settings) -> Settings:
-    hidden = {name: getattr(settings.mqtt, name) and _LEFT_OUT for name in ("username", "password_file")}
-    return msgspec.structs.replace(settings, mqtt=msgspec.structs.replace(settings.mqtt, **hidden))
 
 
 def _secrets(document: Document) -> tuple[str, ...]:

@@ -119,8 +119,7 @@ def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding,
         more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
         return fault(SETTINGS, f"{error}{more}", f"{_fix(config)}; {until}"), None, False
     try:
-        links.check_broker_files(document)
-        links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
+        links.check_link(document)
     except ConfigError as error:
         return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker')}"), document, False
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True

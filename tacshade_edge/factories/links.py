@@ -74,6 +74,12 @@ def make_link(
         raise ConfigError(f"{document.where('mqtt')}: {error}") from error
 
 
+def check_link(of: Document | Hand) -> None:
+    """Make the link that `run` makes without starting it: this also finds a wrong certificate. Raises ConfigError."""
+    check_broker_files(of.common if isinstance(of, Hand) else of)
+    make_link(of, on_request=lambda _: None, on_outcome=lambda *_: None)
+
+
 def broker_address(document: Document) -> BrokerAddress:
     """The address of the broker that the settings name, with the password. Raises ConfigError."""
     mqtt = document.settings.mqtt

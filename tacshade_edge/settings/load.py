@@ -162,12 +162,6 @@ def schema_of(kind: type) -> dict[str, Any]:
     return {**schema["$defs"][kind.__name__], "$defs": schema["$defs"]}
 
 
-def read_struct(path: Path, kind: type[T]) -> tuple[T, YamlFile]:
-    """Read a YAML file as one msgspec struct. Raises ConfigError like `load`."""
-    file = strict_yaml.read(path)
-    return convert(file, kind), file
-
-
 def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
     """Convert the value at a key to a struct. Raises ConfigError like `load`."""
     value = file.value

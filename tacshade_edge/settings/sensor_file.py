@@ -10,7 +10,8 @@ from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.load import expectation, read_struct, schema_of
+from tacshade_edge.settings import strict_yaml
+from tacshade_edge.settings.load import convert, expectation, schema_of
 from tacshade_edge.settings.model import Placed, wrong_with
 from tacshade_edge.types import IDENTITY_POSE, Disc
 
@@ -67,7 +68,8 @@ def check_value(key: str, text: str) -> float | str:
 
 def read_sensor(path: Path) -> Sensor:
     """Read SENSOR.yaml. Raises ConfigError."""
-    given, file = read_struct(path, SensorFile)
+    file = strict_yaml.read(path)
+    given = convert(file, SensorFile)
     if problem := wrong_with(given.flange_T_sensor):
         raise file.error(("flange_T_sensor",), problem)
     circle = given.visible_circle

@@ -41,7 +41,9 @@ class Axis:
 
 def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
     """Round values along an axis, each with its position in px."""
-    step = _round_step(_LABEL_EVERY_PX * abs(axis.per_px))
+    least = _LABEL_EVERY_PX * abs(axis.per_px)
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least)
     low, high = sorted((axis.first, axis.first + (length_px - 1) * axis.per_px))
     values = [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
     return [(value, (value - axis.first) / axis.per_px) for value in values]
@@ -241,12 +243,6 @@ def _with_legend(picture: U8, text: str) -> U8:
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, dtype=np.uint8)
     cv2.putText(legend, encodable(text[:120]), (6, 15), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
     return np.vstack([picture, legend])
-
-
-def _round_step(least: float) -> float:
-    """The least step of 1, 2 or 5 times a power of ten that is not below `least`."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least)
 
 
 def _width_px(text: str) -> int:

@@ -9,7 +9,7 @@ from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_optio
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.reasons import Reason
-from tacshade_edge.settings import Document, file_schema, load_all, load_hand
+from tacshade_edge.settings import file_schema, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
-    checks = (sources.check_source, sources.check_serial, _check_broker, calibrations.find_calibration)
+    checks = (sources.check_source, sources.check_serial, links.check_link, calibrations.find_calibration)
     for document in documents:
         for check in checks:
             try:
@@ -35,8 +35,7 @@ def run(args: argparse.Namespace) -> int:
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
     if hand := load_hand(args.file):
         try:
-            links.check_broker_files(hand.common)
-            links.make_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
+            links.check_link(hand)
         except ConfigError as error:
             mistakes.append(str(error))
     if mistakes := list(dict.fromkeys(mistakes)):
@@ -45,9 +44,3 @@ def run(args: argparse.Namespace) -> int:
         sources.make_source(document.settings.source)
     print(f"{args.file}: ok", *warnings, sep="\n")
     return 0
-
-
-def _check_broker(document: Document) -> None:
-    """Make the links that `run` makes without starting them: this finds a wrong certificate."""
-    links.check_broker_files(document)
-    links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

@@ -101,7 +101,7 @@ def _replay(args: argparse.Namespace) -> int:
             sinks.append(link.add)
             if args.play:
                 played = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback)
-                link.obey(played)
+                link.playback = played
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)

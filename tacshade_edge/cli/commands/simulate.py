@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import functools
-import io
 import itertools
 import shlex
 from collections.abc import Mapping, Sequence
@@ -168,15 +167,9 @@ def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[st
     shear_mm[inside] = frame.shear_mm(inside[0].astype(float), inside[1].astype(float)) if frame.presses else 0.0
     names = ("height_mm", "contact", "points_mm", "object_points_mm", "depth_max_mm")
     content: dict[str, Any] = {name: getattr(truth, name) for name in names}
-    grid = {"row0": 0.0, "col0": 0.0, "step_px": 1.0}
-    _write_npz(path, {**content, **grid, "shear_mm": shear_mm, "object": name, **known})
+    content |= {"row0": 0.0, "col0": 0.0, "step_px": 1.0, "shear_mm": shear_mm, "object": name, **known}
+    np.savez_compressed(path, **content)
     return truth.depth_max_mm
-
-
-def _write_npz(path: Path, content: Mapping[str, Any]) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **content)
-    path.write_bytes(buffer.getvalue())
 
 
 def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -205,8 +198,13 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
         _write_csv(folder / table, frame_table.POSES_HEADER, rows)
-    raster = {"z_mm": pads.raster(pad, _TRUTH_STEP_MM), "x0_mm": 0.0, "y0_mm": 0.0, "step_mm": _TRUTH_STEP_MM}
-    _write_npz(folder / "PAD.npz", raster)
+    raster: dict[str, Any] = {
+        "z_mm": pads.raster(pad, _TRUTH_STEP_MM),
+        "x0_mm": 0.0,
+        "y0_mm": 0.0,
+        "step_mm": _TRUTH_STEP_MM,
+    }
+    np.savez_compressed(folder / "PAD.npz", **raster)
     made = f"POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml"
     print(f"{folder}: {counted(len(poses), 'press')}, {made}")
     at = shlex.quote(str(folder))

@@ -117,7 +117,9 @@ class RpicamSource(Camera):
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
             # Twice: if nine shorter frames fill eight of ours, the ninth is reported too late to be noticed.
-            if self._is_asked(exposure_us, gain) and in_step and was_in_step:
+            pairs = ((exposure_us, self._exposure_us), (gain, self._gain))  # a value that is missing counts as right
+            is_asked = all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
+            if is_asked and in_step and was_in_step:
                 break
         else:
             if not (in_step and was_in_step):
@@ -129,26 +131,17 @@ class RpicamSource(Camera):
         age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
         self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
         exposure, white_balance = Control(Lock.LOCKED, exposure_us), Control(Lock.LOCKED)
+        focus = Control(Lock.LOCKED, _number(record, "LensPosition"))  # only a lens that moves has one
         self._settings |= {
             "format": "YUV420",
             "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
             **{"exposure": f"{exposure} us", "exposure_lock": exposure.lock, "exposure_value": exposure_us},
             **{"gain": round(gain, 3), "white_balance": str(white_balance), "white_balance_lock": white_balance.lock},
-            **self._focus(record),
+            **({"focus": f"{focus} dioptres", "focus_lock": focus.lock} if "LensPosition" in record else {}),
             "time_stamps": "sensor" if self._has_stamps else "on arrival",
             "drops": "inferred from time stamps" if self._has_stamps else "not known",
         }
         return self._framed(image, record)
-
-    def _focus(self, record: dict[str, str]) -> dict[str, str]:
-        """The lens position in a frame's metadata, which only a lens that moves has."""
-        control = Control(Lock.LOCKED, _number(record, "LensPosition"))
-        return {"focus": f"{control} dioptres", "focus_lock": control.lock} if "LensPosition" in record else {}
-
-    def _is_asked(self, exposure_us: float, gain: float) -> bool:
-        """Whether a record has the requested exposure and gain; a value that is missing counts as right."""
-        pairs = ((exposure_us, self._exposure_us), (gain, self._gain))
-        return all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
 
     def _framed(self, image: U8, record: dict[str, str]) -> Frame:
         now_ns, wall_ns = time.monotonic_ns(), time.time_ns()

@@ -129,7 +129,11 @@ class V4l2Source(Camera):
                 f"requested {width_px}x{height_px} {self._fourcc}, but got {width_got}x{height_got} {fourcc}"
                 f" (it offers {usable})"
             )
-        exposure, white_balance = self._lock_exposure(capture), v4l2_node.lock_white_balance(capture)
+        exposure = v4l2_node.lock_exposure(capture, self._exposure)
+        if self._exposure is not None and exposure.value != self._exposure:
+            got = "but the driver has no such control" if exposure.value is None else f"but got {exposure.value:g}"
+            raise self._refused(f"requested exposure {self._exposure}, {got}")
+        white_balance = v4l2_node.lock_white_balance(capture)
         return {
             "format": fourcc,
             "width_px": width_got,
@@ -143,13 +147,6 @@ class V4l2Source(Camera):
             "white_balance_lock": white_balance.lock,
             **{f"{name}_lock": control.lock for name, control in v4l2_node.lock_others(self._device).items()},
         }
-
-    def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_node.Control:
-        control = v4l2_node.lock_exposure(capture, self._exposure)
-        if self._exposure is not None and control.value != self._exposure:
-            got = "but the driver has no such control" if control.value is None else f"but got {control.value:g}"
-            raise self._refused(f"requested exposure {self._exposure}, {got}")
-        return control
 
     def _refused(self, what: str) -> TacshadeError:
         error = DeviceError if self._proven else ConfigError

@@ -83,7 +83,10 @@ class ClientIdGuard:
         finally:
             if self._reported:
                 self._client.publish(self._rival, b"", 0, True)
-            self._hang_up()
+            self._client.disconnect()
+            self._client.hang_up()
+            while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
+                pass
 
     def _is_free(self, report: Callable[[Reason], None]) -> bool:
         """Whether nobody else holds the name, as far as is known now."""
@@ -102,12 +105,6 @@ class ClientIdGuard:
             status = encode_status("waiting", reason, self._instance)
             self._client.publish(self._rival, status, 0, True, publish_properties("application/json"))
         return False
-
-    def _hang_up(self) -> None:
-        self._client.disconnect()
-        self._client.hang_up()
-        while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
-            pass
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if not code.is_failure:

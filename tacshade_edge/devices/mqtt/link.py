@@ -192,10 +192,6 @@ class MqttLink(Outgoing):
             self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._broker["tls_ca"]))
         self._lost()
 
-    def _greeted(self, bytes_max: int | None) -> None:
-        self._set_reason(None)
-        self._accepted(bytes_max)
-
     def _subscribed(self, codes: list[MqttCode]) -> None:
         for topic, code in zip(("req/+", *self._watched), codes, strict=False):
             self._note(topic, 0, code)
@@ -241,7 +237,8 @@ class MqttLink(Outgoing):
                 *((f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True)) for topic in self._watched),
             ]
         )
-        self._post(lambda: self._greeted(packet_bytes_max(properties)))
+        self._post(lambda: self._set_reason(None))
+        self._post(lambda: self._accepted(packet_bytes_max(properties)))
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error, text = connect_failure()

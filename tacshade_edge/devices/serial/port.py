@@ -37,7 +37,7 @@ class SerialPort:
     def __init__(self, device: str, baud: int) -> None:
         self.device = device
         self.baud = baud
-        self._low_latency = ""
+        self._low_latency = False
         self._proven = False
         self._port: serial.Serial | None = None
         self._closing = threading.Lock()  # the number of a closed descriptor may already be reused
@@ -64,7 +64,10 @@ class SerialPort:
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
         self._port, self._proven = port, True
-        self._low_latency = _set_low_latency(port)
+        self._low_latency = False
+        with contextlib.suppress(AttributeError, NotImplementedError, ValueError):  # USB CDC, a pty, a URL
+            port.set_low_latency_mode(True)
+            self._low_latency = True
 
     def read(self) -> bytes:
         """Return the received bytes; wait at most `READ_S` for the first. Raises DeviceError when the port is lost."""
@@ -111,7 +114,7 @@ class SerialPort:
         """Return details for ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
         details: dict[str, str | int | float] = {"device": self.device, "baud": self.baud}
         if self._port is not None and self._low_latency:
-            details["low_latency"] = self._low_latency
+            details["low_latency"] = "yes"
         timer = Path("/sys/class/tty") / Path(self.device).resolve().name / "device" / "latency_timer"
         with contextlib.suppress(OSError, ValueError):  # no FTDI chip
             details["latency_ms"] = int(timer.read_text())
@@ -141,11 +144,3 @@ def check_kind(device: str) -> None:
     elif (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
         found = "found another kind of file, expected a serial port's character device"
         raise ConfigError(f"serial {device}: {found}", code=ReasonCode.WRONG_KIND)
-
-
-def _set_low_latency(port: serial.Serial) -> str:
-    try:
-        port.set_low_latency_mode(True)
-    except (AttributeError, NotImplementedError, ValueError):
-        return ""  # a port without the setting: USB CDC, a pty, a URL
-    return "yes"

@@ -116,11 +116,6 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
     return TouchAsked(tuple(names), rate_hz)
 
 
-def _check_times(args: Sequence[str]) -> None:
-    for text in args:
-        parse_time(text)
-
-
 @dataclass(frozen=True, slots=True)
 class _Verb:
     """A verb's arguments as ``HELP`` shows them, how many there may be, and what raises DecodeError for wrong ones.
@@ -137,7 +132,7 @@ class _Verb:
 
 _VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
     "HELLO": _Verb("1 [crc=req|opt] [boot=ID]"),
-    "SYNC": _Verb("t1 [t4]", 1, 2, check=_check_times),
+    "SYNC": _Verb("t1 [t4]", 1, 2, check=lambda args: [parse_time(text) for text in args]),
     "POSE": _Verb("t x y z qw qx qy qz"),
     "CAPTURE": _Verb(),
     "REFERENCE": _Verb(),

@@ -10,7 +10,7 @@ import numpy as np
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.stitching.flange import ContactFrame
 from tacshade_edge.core.stitching.press_points import GAP_MAX_NS, NO_POINTS, PressPoints, RestDetector, press_points
-from tacshade_edge.core.stitching.refinement import thin_points
+from tacshade_edge.core.stitching.refinement import correction, thin_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.network import make_reconstructor
@@ -185,10 +185,7 @@ def _moves(poses: Sequence[Pose]) -> bool:
     """Whether the flange moves between two poses without a gap."""
     if len(poses) < 2 or not 0 < (ns := poses[1].t_ns - poses[0].t_ns) <= GAP_MAX_NS:
         return False
-    a, b = of_pose(poses[0]), of_pose(poses[1])
-    cosine = (np.trace(a.rotation.T @ b.rotation) - 1) / 2
-    turned_deg = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-    moved_mm = float(np.linalg.norm(b.translation_mm - a.translation_mm))
+    moved_mm, turned_deg = correction(of_pose(poses[0]), of_pose(poses[1]), np.zeros(3))
     return moved_mm > _MOVING_MM_S * ns / 1e9 or turned_deg > _MOVING_DEG_S * ns / 1e9
 
 

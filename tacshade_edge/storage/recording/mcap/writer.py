@@ -150,9 +150,8 @@ _POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 def camera_message(png: bytes, sensor_id: str, wall_ns: int) -> bytes:
     """The message of a captured frame, lossless."""
-    message = CompressedImage(
-        timestamp=_timestamp(wall_ns), frame_id=_frame_id(sensor_id, "sensor"), data=png, format="png"
-    )
+    frame_id = f"{sensor_id}/sensor"
+    message = CompressedImage(timestamp=_timestamp(wall_ns), frame_id=frame_id, data=png, format="png")
     return bytes(message.SerializeToString())
 
 
@@ -161,7 +160,7 @@ def height_message(height_mm: F32, sensor_id: str, wall_ns: int) -> bytes:
     rows, cols = height_mm.shape
     message = RawImage(
         timestamp=_timestamp(wall_ns),
-        frame_id=_frame_id(sensor_id, "sensor"),
+        frame_id=f"{sensor_id}/sensor",
         width=cols,
         height=rows,
         encoding="32FC1",
@@ -180,7 +179,7 @@ def cloud_message(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
     ]
     message = PointCloud(
         timestamp=_timestamp(wall_ns),
-        frame_id=_frame_id(sensor_id, "sensor"),
+        frame_id=f"{sensor_id}/sensor",
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         point_stride=_POINT.itemsize,
         fields=[*described, PackedElementField(name="object", offset=12, type=PackedElementField.UINT16)],
@@ -196,8 +195,8 @@ def transform_message(
     x, y, z, qw, qx, qy, qz = a_T_b
     one = FrameTransform(
         timestamp=_timestamp(wall_ns),
-        parent_frame_id=_frame_id(sensor_id, parent),
-        child_frame_id=_frame_id(sensor_id, child),
+        parent_frame_id=f"{sensor_id}/{parent}",
+        child_frame_id=f"{sensor_id}/{child}",
         translation=Vector3(x=x * M_PER_MM, y=y * M_PER_MM, z=z * M_PER_MM),
         rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
     )
@@ -208,10 +207,6 @@ def log_message(name: str, text: str, wall_ns: int) -> bytes:
     """The message of a line in a viewer's log."""
     message = Log(timestamp=_timestamp(wall_ns), level=Log.INFO, message=text, name=name)
     return bytes(message.SerializeToString())
-
-
-def _frame_id(sensor_id: str, frame: ReferenceFrame) -> str:
-    return f"{sensor_id}/{frame}"
 
 
 def _timestamp(wall_ns: int) -> Timestamp:
