@@ -196,7 +196,13 @@ class FoxgloveBridge:
             sensor_id, rest = found.groups()
             try:
                 if rest == "info":
-                    self._hear_info(sensor_id, decode_info(payload))
+                    info = decode_info(payload)
+                    if (placed := self._roster.of(sensor_id, 1 + (info.geometry is not None))) is not None:
+                        placed.place(info)
+                        self._changed.set()
+                    else:
+                        text = f"ignoring this sensor: {SENSORS_MAX} are shown, the limit"
+                        self._refusals.add("no_room", sensor_id, text)
                 elif sensor := self._roster.of(sensor_id, 0) if rest == "state" else self._roster.get(sensor_id):
                     sensor.hear(rest, payload)
             except DecodeError as error:
@@ -218,11 +224,3 @@ class FoxgloveBridge:
                 topics |= sensor.wanted()
                 sensor.repeat()
         self._follow(topics)
-
-    def _hear_info(self, sensor_id: str, info: Info) -> None:
-        sensor = self._roster.of(sensor_id, 1 + (info.geometry is not None))
-        if sensor is None:
-            self._refusals.add("no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are shown, the limit")
-            return
-        sensor.place(info)
-        self._changed.set()

@@ -337,7 +337,6 @@ class App:
         return ProfileChosen(self._active.name)
 
     def _use(self, calibration: Calibration) -> None:
-        """Use another reference."""
         self._active.use(calibration)
         return_free_memory()
         self._changed()

@@ -169,7 +169,11 @@ class Robot(FrameObserver):
         """Publish ``status/serial`` if it has changed, and forward the line's state to those who share it."""
         line, sync, now_ns = self._channel.line(), self.motion.state(), time.monotonic_ns()
         if self._shared and self._shared.ends:
-            self._forward(self._shared, line, now_ns)
+            before = self._forwarded
+            changed = before is None or (line.port, line.mode) != (before.port, before.mode)
+            if changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS:  # a change at once, its counts once a second
+                self._forwarded, self._forwarded_ns = line, now_ns
+                self._shared.forward(line)
         port = line.port
         if port.state == "away":
             state, reason, details = "away", port.reason, port.details
@@ -186,14 +190,6 @@ class Robot(FrameObserver):
         if status != self._published:
             self._published = status
             self._publish_status(status)
-
-    def _forward(self, shared: SharedLine, line: LineState, now_ns: int) -> None:
-        """Forward a change of the line at once, and its counts once a second."""
-        before = self._forwarded
-        changed = before is None or (line.port, line.mode) != (before.port, before.mode)
-        if changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS:
-            self._forwarded, self._forwarded_ns = line, now_ns
-            shared.forward(line)
 
     def health(self) -> dict[str, Any]:
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Literal
@@ -317,7 +317,7 @@ class SerialChannel:
     def line(self) -> LineState:
         """The line now; for any thread."""
         counts = {
-            **self._link.counts.as_dict(),
+            **asdict(self._link.counts),
             "reopened": max(0, self._opened - 1),
             "away_ms": self._away_ms,
             "unsent_bytes": self._unsent_bytes,

@@ -64,21 +64,14 @@ _Job = tuple[Callable[[], SessionResult], Reply]
 
 class Sessions(FrameObserver):
     """One sensor's sessions, one at a time, each in its own folder below `folder`; present only if frames have poses. A
-    session that was open when the daemon died is resumed. If `automatic`, every contact that comes to rest while a
-    session is open is added.
+    session that was open when the daemon died is resumed. Every contact that comes to rest while one is open is added.
     """
 
     health_key = "stitching"
     stop_s = STITCHED_S
 
     def __init__(
-        self,
-        folder: Path,
-        sensor_id: str,
-        publish: Callable[[str, bytes], None],
-        robot: Robot | None = None,
-        *,
-        automatic: bool = True,
+        self, folder: Path, sensor_id: str, publish: Callable[[str, bytes], None], robot: Robot | None = None
     ) -> None:
         self._folder = folder
         self._sensor_id = sensor_id
@@ -89,7 +82,6 @@ class Sessions(FrameObserver):
         self._robot = robot
         if robot:
             robot.commands.stitch = self.submit
-        self._automatic = automatic
         self._jobs: SimpleQueue[_Job | Literal["stop"]] = SimpleQueue()
         self._adds = FrameWaiters("presses are already waiting for a frame")
         self._lock = threading.Lock()
@@ -168,7 +160,7 @@ class Sessions(FrameObserver):
             return
         at_rest = self._rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm)
         replies = self._adds.take(frame.t_ns)
-        if not replies and at_rest and self._automatic:
+        if not replies and at_rest:
             replies = [self._note_missed]
         if not replies:
             return
@@ -210,11 +202,15 @@ class Sessions(FrameObserver):
     def _run(self) -> None:
         """Resume an open session, then do one job after another until `stop`."""
         self._resume()
-        while (job := self._next_job()) != "stop":
-            if job is None:
+        while True:
+            try:
+                job = self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
+            except Empty:  # it is time to publish a deferred map
                 if self._session is not None:
                     self._deferred = self.publish_map(self._session.map_revision())
                 continue
+            if job == "stop":
+                break
             run, reply = job
             outcome: SessionResult | Reason
             try:
@@ -229,13 +225,6 @@ class Sessions(FrameObserver):
             self._session.file.close()
         if self._folder_lock is not None:
             self._folder_lock.release()
-
-    def _next_job(self) -> _Job | Literal["stop"] | None:
-        """The next job; None when it is time to publish a deferred map."""
-        try:
-            return self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
-        except Empty:
-            return None
 
     def _resume(self) -> None:
         try:
@@ -331,12 +320,9 @@ class Sessions(FrameObserver):
         self._adds.refuse_all(Reason(ReasonCode.NO_SESSION, "the session has ended"))
 
     def _show_state(self) -> None:
-        session, folder = self._session, self._map_folder
-        if session is None:
-            self._state = SessionState(folder=folder)
-        else:
-            known = (session.name, session.presses, session.points, session.revision)
-            self._state = SessionState(*known, folder=folder)
+        session = self._session
+        known = {key: getattr(session, key) for key in ("name", "presses", "points", "revision")} if session else {}
+        self._state = SessionState(**known, folder=self._map_folder)
 
 
 def _no_contact(seq: int) -> Reason:

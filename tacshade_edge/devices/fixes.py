@@ -46,9 +46,6 @@ OF_CSI_CAMERAS = {
     ReasonCode.STALLED: RIBBON_CABLE,
 }
 
-# Reason codes of CONNACK, MQTT 5.
-_NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
-_BAD_VERSION = 0x84
 MESSAGE_SIZE_FIX = (
     "raise message_size_limit and max_packet_size in the broker's configuration to at least 1000000 bytes, "
     "or remove them"
@@ -90,12 +87,12 @@ def no_answer_fix(tls_ca: str | None) -> str:
 
 def is_not_authorised(code: int) -> bool:
     """Whether the reason code of the broker's CONNACK means that it rejects the user."""
-    return code in _NOT_AUTHORISED
+    return code in (0x86, 0x87)  # bad user name or password, not authorised
 
 
 def is_other_version(code: int) -> bool:
     """Whether the reason code of the broker's CONNACK means that it does not support MQTT 5."""
-    return code == _BAD_VERSION
+    return code == 0x84
 
 
 def refusal_fix(code: int, username: str | None) -> str:

@@ -8,18 +8,16 @@ from typing import Any
 
 
 class Connections:
-    """The open connections, at most `most`, and the number turned away."""
+    """The open connections, at most `most`."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._open: list[socket.socket] = []
-        self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
         """Count a connection; return False when too many are open."""
         self._open = [other for other in self._open if other.fileno() >= 0]
         if len(self._open) >= self._most:
-            self.turned_away += 1
             return False
         self._open.append(connection)
         return True

@@ -27,7 +27,6 @@ class PixelRows:
 def decode_image(payload: bytes) -> PixelRows:
     """Decode a ``sensor_msgs/msg/Image``. Raises DecodeError."""
     cursor = _Cursor(payload)
-    cursor.skip_header()
     height_px, width_px = cursor.u32(), cursor.u32()
     encoding = cursor.text()
     cursor.skip(1)  # is_bigendian: these encodings have one byte per channel
@@ -37,13 +36,14 @@ def decode_image(payload: bytes) -> PixelRows:
 def decode_compressed_image(payload: bytes) -> bytes:
     """Return the file (JPEG, PNG) in a ``sensor_msgs/msg/CompressedImage``. Raises DecodeError."""
     cursor = _Cursor(payload)
-    cursor.skip_header()
     cursor.text()
     return cursor.octets()
 
 
 class _Cursor:
-    """Reads values, each aligned to its own size, counted from the end of the encapsulation (DDSI-RTPS 10, XCDR1)."""
+    """Reads the values after a ``std_msgs/Header``, each aligned to its own size, counted from the end of the
+    encapsulation (DDSI-RTPS 10, XCDR1).
+    """
 
     def __init__(self, payload: bytes) -> None:
         if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] > 1:
@@ -51,15 +51,11 @@ class _Cursor:
                 f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected a CDR header"
             )
         self._u32 = struct.Struct("<I" if payload[1] == 1 else ">I")
-        self._payload, self._at = payload, _ENCAPSULATION_BYTES
+        self._payload, self._at = payload, _ENCAPSULATION_BYTES + 8  # the header's time, and then its frame's name
+        self.text()
 
     def skip(self, count: int) -> None:
         self._at += count
-
-    def skip_header(self) -> None:
-        """Skip a ``std_msgs/Header``: a time of 8 bytes and a frame's name."""
-        self.skip(8)
-        self.text()
 
     def u32(self) -> int:
         self._at += -self._at % 4

@@ -17,7 +17,6 @@ from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap,
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_WIDTH_PX = 12
-BAR_PX = LEFT_PX + BAR_WIDTH_PX + RIGHT_PX
 TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
 SEEN_PX = 900  # up to which `reference_picture` enlarges
 _FOUND = (0, 230, 255)

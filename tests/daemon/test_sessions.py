@@ -72,10 +72,10 @@ Outcome = SessionResult | Reason
 class Robot:
     """Sends commands, shows frames, waits for answers."""
 
-    def __init__(self, folder: Path, *, automatic: bool = False, poses: Any = None) -> None:
+    def __init__(self, folder: Path, *, poses: Any = None) -> None:
         self.maps: list[MapRevision] = []
         self.published: dict[str, bytes] = {}
-        self.sessions = Sessions(folder, "left", self.published.__setitem__, poses, automatic=automatic)
+        self.sessions = Sessions(folder, "left", self.published.__setitem__, poses)
         self.sessions.publish_map = lambda revision: bool(self.maps.append(revision))
         self.sessions.start()
         self.seq = 0
@@ -292,7 +292,7 @@ def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_
 def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
     tmp_path: Path, ball: Reconstruction, nothing: Reconstruction
 ) -> None:
-    robot = Robot(tmp_path, automatic=True)
+    robot = Robot(tmp_path)
     robot.show(nothing)
     robot.ask("BEGIN")
     begun_ns = time.monotonic_ns()
@@ -335,7 +335,7 @@ def test_an_open_session_of_a_robot_whose_pose_is_unknown(tmp_path: Path, ball: 
 def test_what_was_not_added_is_counted_and_published(
     tmp_path: Path, ball: Reconstruction, nothing: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = Robot(tmp_path, automatic=True)
+    robot = Robot(tmp_path)
     assert code(robot.ask("ADD")) is ReasonCode.NO_SESSION
     robot.show(nothing)
     robot.ask("BEGIN")

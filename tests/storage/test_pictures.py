@@ -7,9 +7,10 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.pictures import (
-    BAR_PX,
+    BAR_WIDTH_PX,
     LEFT_PX,
     PREVIEW_PX,
+    RIGHT_PX,
     SHEET_COLUMNS,
     TILE_PX,
     TOP_PX,
@@ -33,7 +34,8 @@ def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
     assert (free, others) == ("no contact", ["black", touched, "no contact"])
     assert touched.endswith(" mm")
     sheet = contact_sheet(tiles)
-    high, wide = (sheet.shape[0] // 2, (sheet.shape[1] - BAR_PX) // SHEET_COLUMNS)
+    bar_px = LEFT_PX + BAR_WIDTH_PX + RIGHT_PX
+    high, wide = (sheet.shape[0] // 2, (sheet.shape[1] - bar_px) // SHEET_COLUMNS)
     maps = [
         sheet[(k // SHEET_COLUMNS) * high :][:high, (k % SHEET_COLUMNS) * wide + TILE_PX :][:, :TILE_PX]
         for k in range(5)

@@ -92,7 +92,11 @@ def run(args: argparse.Namespace) -> int:
                 Session(folder, sensor, live, terminal, plan, indenters, places).run()
             else:
                 labels = RobotLabels(sensor, pose_at) if pose_at else None
-                with _scale(args.scale) as scale:
+                no_scale = contextlib.nullcontext()
+                reader = no_scale if args.scale is None else contextlib.closing(Scale(scale_port(args.scale)))
+                with reader as scale:
+                    if scale is not None:
+                        scale.open()
                     LabelSession(LabelFolder(args.labels), live, terminal, scale, labels).run()
     except InputEnded:
         terminal.say("")
@@ -122,16 +126,6 @@ def _camera(
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"live picture: {page.address}")
         yield Live(source, terminal, page, sensor.visible_circle)
-
-
-@contextlib.contextmanager
-def _scale(port: str | None) -> Iterator[Scale | None]:
-    if port is None:
-        yield None
-        return
-    with contextlib.closing(Scale(scale_port(port))) as scale:
-        scale.open()
-        yield scale
 
 
 @contextlib.contextmanager

@@ -33,11 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True)
-    parser.add_argument(
-        "--plot",
-        action="store_true",
-        help=f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images",
-    )
+    text = f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images"
+    add_flag(parser, "--plot", text)
     add_flag(parser, "--json", "print the summary as JSON")
     add_option(
         parser, "images", "IMG", "image, or folder whose images are taken in the order of their names", nargs="+"

@@ -198,13 +198,8 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
         _write_csv(folder / table, frame_table.POSES_HEADER, rows)
-    raster: dict[str, Any] = {
-        "z_mm": pads.raster(pad, _TRUTH_STEP_MM),
-        "x0_mm": 0.0,
-        "y0_mm": 0.0,
-        "step_mm": _TRUTH_STEP_MM,
-    }
-    np.savez_compressed(folder / "PAD.npz", **raster)
+    true_mm = pads.raster(pad, _TRUTH_STEP_MM)
+    np.savez_compressed(folder / "PAD.npz", z_mm=true_mm, x0_mm=0.0, y0_mm=0.0, step_mm=_TRUTH_STEP_MM)
     made = f"POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml"
     print(f"{folder}: {counted(len(poses), 'press')}, {made}")
     at = shlex.quote(str(folder))

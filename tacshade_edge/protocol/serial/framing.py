@@ -8,7 +8,7 @@ when only one has changed its mode.
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Final, Literal
 
 from tacshade_edge.errors import DecodeError
@@ -82,10 +82,6 @@ class LinkCounts:
             self.garbage += 1
             self.garbage_bytes += length
 
-    def as_dict(self) -> dict[str, int]:
-        """The counts by name, for ``health``."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
 class Unit:
@@ -104,11 +100,6 @@ class Framing:
         self._buffer = b""
         self._skipping = False  # until the next end of a line or frame
         self._since_zero = b""  # in ASCII: bytes that may turn out to be a binary pose
-
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes that wait for the rest of their line or frame."""
-        return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
         """Append received bytes."""

@@ -125,11 +125,6 @@ class SerialLink:
         """``ASCII`` or ``BIN``."""
         return self._framing.mode
 
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes that wait for the rest of their line or frame."""
-        return self._framing.buffered_bytes
-
     def receive(self, data: bytes, now_ns: int) -> list[Received]:
         """Process the next bytes, however they are split, which arrived at `now_ns`.
 

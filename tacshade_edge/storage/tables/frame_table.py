@@ -91,7 +91,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                 where = f"{path}:{count}"
                 if cut_off and not line.endswith(b"\n"):
                     break
-                if header and header[-1] == CRC_COLUMN and not _is_checked(line):
+                columns, _, crc32 = line.rstrip(b"\r\n").rpartition(b",")
+                if header and header[-1] == CRC_COLUMN and crc32 != b"%08x" % zlib.crc32(columns):
                     rows.damaged += 1
                     rows.first_damaged = rows.first_damaged or where
                     continue
@@ -119,11 +120,6 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
         damage = f" ({rows.damage})" if rows.damage else ""
         raise ConfigError(f"{path}: found no rows, expected one per frame{damage}")
     return rows
-
-
-def _is_checked(line: bytes) -> bool:
-    columns, _, crc32 = line.rstrip(b"\r\n").rpartition(b",")
-    return crc32 == b"%08x" % zlib.crc32(columns)
 
 
 def _cells(where: str, line: bytes) -> list[str]:

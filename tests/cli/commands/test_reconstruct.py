@@ -12,7 +12,7 @@ from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.pictures import BAR_PX, LEFT_PX, RIGHT_PX
+from tacshade_edge.storage.pictures import BAR_WIDTH_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
 
 pytestmark = pytest.mark.slow
@@ -116,7 +116,7 @@ def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
     with np.load(out / "other.npz") as npz:
         np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("balanced").rays.inside)
     for name in ("ball", "black"):
-        assert cv2.imread(str(out / f"{name}.png")).shape[1] == 2 * (LEFT_PX + 320 + RIGHT_PX) + BAR_PX
+        assert cv2.imread(str(out / f"{name}.png")).shape[1] == 3 * (LEFT_PX + RIGHT_PX) + 2 * 320 + BAR_WIDTH_PX
     assert cv2.imread(str(out / "contact-sheet.png")) is not None
     (tmp_path / "empty").mkdir()
     assert main([*words(folder, out), str(tmp_path / "empty")]) == 78
