@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import secrets
+import select
 import time
 from typing import Any, Final
 
@@ -118,10 +119,10 @@ class _Heard(Results):
             self._connect()
         end_s = time.monotonic() + _SILENT_S
         while time.monotonic() < end_s:
-            if not self._client.step(0.0 if self._frames.whole else _POLL_S):
+            if not self._step(0.0 if self._frames.whole else _POLL_S):
                 raise self._lost(self._failure or "connection lost", ReasonCode.LOST)
             # The newest frame wins: first read everything that has arrived.
-            if self._frames.whole and not self._client.waits() and (result := self._frames.take()) is not None:
+            if self._frames.whole and not self._waits() and (result := self._frames.take()) is not None:
                 return result
         raise self._silence()
 
@@ -134,17 +135,28 @@ class _Heard(Results):
             raise self._lost(f"{error.strerror or error}", ReasonCode.UNREACHABLE) from None
         end_s = time.monotonic() + _SILENT_S
         while not (self._connected or self._failure) and time.monotonic() < end_s:
-            if not self._client.step(_POLL_S):
+            if not self._step(_POLL_S):
                 break
         if not self._connected:
             code = ReasonCode.REFUSED if self._failure else ReasonCode.NO_ANSWER
             raise self._lost(self._failure or "the broker does not answer", code)
 
+    def _step(self, timeout_s: float) -> bool:
+        return self._client.step(0.0 if self._waits() else timeout_s)
+
+    def _waits(self) -> bool:
+        """Whether unread data is waiting."""
+        sock: Any = self._client.socket()
+        if sock is None:
+            return False
+        pending = getattr(sock, "pending", None)  # bytes that TLS has already decrypted
+        return bool(pending and pending()) or bool(select.select([sock], [], [], 0)[0])
+
     def _release(self) -> None:
         self._connected = False
         with contextlib.suppress(OSError):
             self._client.disconnect()
-        while self._client.step(0.0):  # sends DISCONNECT and closes the socket
+        while self._step(0.0):  # sends DISCONNECT and closes the socket
             pass
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
@@ -160,7 +172,7 @@ class _Heard(Results):
         if not self._frames.state:
             self._client.subscribe("tacshade/+/state", 0)
             end_s = time.monotonic() + _STATES_S
-            while time.monotonic() < end_s and self._client.step(_POLL_S):
+            while time.monotonic() < end_s and self._step(_POLL_S):
                 pass
             there = ", ".join(map(shown, sorted(self._there))) or "no sensor"
             known = f"no daemon has published a state, expected one of those that have: {there}"

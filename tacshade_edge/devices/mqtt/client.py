@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import select
 import socket
 import ssl
 import sys
-import threading
 from collections.abc import Callable
 from typing import Any, Final, TypedDict
 
@@ -27,7 +25,6 @@ PACKET_TOO_LARGE: Final = 0x95
 _UNSPECIFIED: Final = 0x80
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
-_TIMERS_S: Final = 1.0  # how often to look at paho's
 _CONNECT_TIMEOUT_S: Final = 3.0
 _INCOMING_BYTES_MAX: Final = 65536
 # Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only a few are allowed.
@@ -52,9 +49,6 @@ class Session(Client):
 
     refused = 0
     _unknown_code: int | None = None
-    _bell: tuple[socket.socket, ...] = ()  # two: a byte into the second ends the network thread's wait
-    _network: threading.Thread | None = None
-    _ended = False
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
         """Hand every message to `on_message` with its topic, where U+FFFD replaces what is not UTF-8.
@@ -97,74 +91,20 @@ class Session(Client):
         finally:
             self._unknown_code = None
 
-    def waits(self, timeout_s: float = 0.0) -> bool:
-        """Whether unread data waits, within a time: TLS may have decrypted it, which `select` does not see."""
-        sock: Any = self.socket()
-        if sock is None:
-            return False
-        if (pending := getattr(sock, "pending", None)) and pending():
-            return True
-        bell = self._bell[:1]
-        readable, *_ = select.select([sock, *bell], [sock] if self.want_write() else [], [], timeout_s)
-        for each in {*bell} & {*readable}:
-            each.recv(64)
-        return sock in readable
-
     def step(self, timeout_s: float) -> bool:
         """Send and receive once; False without a connection. `Client.loop` would leave its socket pair open."""
-        for once in (self.loop_read, self.loop_write, self.loop_misc)[not self.waits(timeout_s) :]:
+        if (sock := self.socket()) is None:
+            return False
+        select.select([sock], [sock] if self.want_write() else [], [], timeout_s)
+        for once in (self.loop_read, self.loop_write, self.loop_misc):
             if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
                 return False
         return self.socket() is not None
 
-    def start(self) -> None:
-        """Connect, again after each failure and loss, and send and receive, in a thread of our own: paho's would wake
-        for every message of a frame, and take the interpreter from their sender.
-        """
-        self._bell = socket.socketpair()
-        for each in self._bell:
-            each.setblocking(False)
-        self.on_socket_register_write = self._wake
-        self._network = threading.Thread(target=self._serve, name="mqtt", daemon=True)
-        self._network.start()
-
-    def _serve(self) -> None:
-        woken, waker = self._bell
-        with woken, waker:
-            while not self._ended:
-                try:
-                    self.reconnect()
-                except OSError:
-                    if self.on_connect_fail is not None:
-                        self.on_connect_fail(self, None)
-                else:
-                    while self.step(_TIMERS_S) and (self.want_write() or not self._ended):
-                        pass
-                if not self._ended:
-                    select.select([woken], [], [], _RECONNECT_DELAY_S)
-
-    def _wake(self, *_: object) -> None:
-        for waker in self._bell[1:]:
-            with contextlib.suppress(OSError):  # full of wakes, or the thread has ended
-                waker.send(b"\0")
-
-    def disconnect(self, *args: Any, **kwargs: Any) -> MQTTErrorCode:
-        """Disconnect, and end the network thread soon."""
-        done = super().disconnect(*args, **kwargs)
-        self._ended = True
-        self._wake()
-        return done
-
-    def hang_up(self) -> None:
-        """End the connection at once."""
-        if (sock := self.socket()) is not None:
-            with contextlib.suppress(OSError):  # it was already closed
-                sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-
-    def join(self, timeout_s: float | None = None) -> None:
-        """Wait for the end of the network thread; leave one that hangs in a connection attempt."""
-        if self._network is not None:
-            self._network.join(timeout_s)
+    def stop(self) -> None:
+        """Disconnect, and end the network thread."""
+        self.disconnect()
+        self.loop_stop()
 
 
 def connect_failure() -> tuple[BaseException | None, str]:
@@ -184,6 +124,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
     tls_ca = broker["tls_ca"]
     _check(broker["host"], base_topic)
     client = Session(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
+    client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
     client.connect_timeout = _CONNECT_TIMEOUT_S
     client.on_socket_open = _on_socket_open
     if broker["username"] is not None:
@@ -198,13 +139,13 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
     return client
 
 
-def connect(client: Session, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX) -> None:
+def connect(client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX) -> None:
     """Start the client's network thread, which connects and reconnects by itself.
 
     The broker never sends us a packet above `incoming_bytes_max`: requests are small, and memory is bounded.
     """
     client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max))
-    client.start()
+    client.loop_start()
 
 
 def connect_now(

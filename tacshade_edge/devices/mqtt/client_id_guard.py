@@ -6,6 +6,7 @@ forever, so a daemon that finds another one waits until that is gone, and report
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import socket
@@ -84,7 +85,9 @@ class ClientIdGuard:
             if self._reported:
                 self._client.publish(self._rival, b"", 0, True)
             self._client.disconnect()
-            self._client.hang_up()
+            if (sock := self._client.socket()) is not None:
+                with contextlib.suppress(OSError):
+                    sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
             while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
                 pass
 

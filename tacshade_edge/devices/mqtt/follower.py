@@ -59,8 +59,7 @@ class Follower:
 
     def stop(self) -> None:
         """Disconnect."""
-        self._client.disconnect()
-        self._client.join()
+        self._client.stop()
 
     def _subscribe(self, topics: Collection[str]) -> None:
         # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its queue: of many

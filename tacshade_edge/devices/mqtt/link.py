@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from paho.mqtt.client import Client, MQTTMessage
@@ -108,6 +109,7 @@ class MqttLink(Outgoing):
         self._on_request = on_request
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._watched: dict[str, Callable[[bytes], None]] = {}
+        self._thread: threading.Thread | None = None
         self._guard = ClientIdGuard(asking, host, port, base_topic, instance)
         will = publish_properties(CONTENT_TYPES["state"], of_will=True)
         client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
@@ -149,8 +151,7 @@ class MqttLink(Outgoing):
         self._stopping = True
         self._client.disconnect()
         self._away.wait(left_s(0.8))
-        self._client.hang_up()
-        self._client.join(left_s(1.0))
+        self._end_thread(left_s(1.0))
         done = threading.Event()
         self._post(self._give_up)
         self._post(done.set)
@@ -211,14 +212,26 @@ class MqttLink(Outgoing):
         else:
             _log.info("%s", reason or f"{self._where}: connected")
 
+    def _end_thread(self, timeout_s: float) -> None:
+        """Wait for paho's thread; leave one that hangs in a connection attempt, since it is a daemon thread."""
+        sock = self._client.socket()
+        if sock is not None:
+            with contextlib.suppress(OSError):  # it was already closed
+                sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
+        self._thread = threading.current_thread()
         self._post(lambda: self._disconnected(None))
-        report = partial(self._set_reason, fix="stop the other daemon, or wait until it ends")
-        self._guard.wait_until_gone(report, lambda: self._stopping)
+        self._guard.wait_until_gone(self._report_holder, lambda: self._stopping)
         if self._stopping:
             raise ConnectionAbortedError("stopped")
+
+    def _report_holder(self, reason: Reason) -> None:
+        self._set_reason(reason, "stop the other daemon, or wait until it ends")
 
     def _on_connect(
         self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Properties | None

@@ -46,7 +46,8 @@ _COUNTERS: Final = (
 )
 
 
-class _Item(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class _Item:
     payload: bytes
     seq: int
 
@@ -56,12 +57,10 @@ class _Slot:
     """The payloads of one topic that wait or that paho holds: the latest wins."""
 
     topic: str
-    path: str  # with the base topic
     qos: int
     retain: bool  # the newest value is sent again on every connection, and has no outcome
     most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
     properties: Properties
-    empty_bytes: int  # size of a message without payload
     waiting: _Item | None = None
     handed: list[_Item] = field(default_factory=list)
     newest: _Item | None = None
@@ -211,9 +210,7 @@ class Outgoing:
         if topic not in self._slots:
             content_type = CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
-            path, most = self._path(topic), 1 if retain else _UNSENT_PER_STREAM
-            size = packet_bytes(path, b"", properties)
-            self._slots[topic] = _Slot(topic, path, qos, retain, most, properties, size)
+            self._slots[topic] = _Slot(topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties)
         return self._slots[topic]
 
     def _pump(self, slot: _Slot) -> None:
@@ -227,12 +224,12 @@ class Outgoing:
             if not self.connected or self._stopping or (slot is not state and state.refused is None):
                 return
             slot.waiting = None
-            size = slot.empty_bytes + len(item.payload)
+            size = packet_bytes(self._path(slot.topic), item.payload, slot.properties)
             if self._exceeds(slot.topic, size):
                 self._settle("refused", slot, item)
                 continue
             qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
-            info = self._client.publish(slot.path, item.payload, qos, slot.retain, slot.properties)
+            info = self._client.publish(self._path(slot.topic), item.payload, qos, slot.retain, slot.properties)
             if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:  # the connection is failing; the next one pumps
                 slot.waiting = item
                 return
