@@ -150,7 +150,7 @@ def test_an_interrupted_run_leaves_nothing(folder: Path) -> None:
         child.kill()
     assert child.returncode == 130, errors
     assert errors == f"tacshade-edge: {out}: stopped before the end and wrote nothing\n"
-    assert "frames, " in said
+    assert " in contact, " in said  # after one frame or more
     assert list(out.iterdir()) == []
 
 
