@@ -58,7 +58,7 @@ class LabelSession:
         ConfigError (the folder keeps what was taken before).
         """
         if self._rows:
-            self.terminal.say(f"this folder already has {len(self._rows)} labelled pictures")
+            self.terminal.say(f"this folder already has {counted(len(self._rows), 'labelled picture')}")
         self._take_rest()
         while True:
             group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
