@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9024/none,other:9024/none,9024"
+FITTED = "9026/none,other:9026/none,9026"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +109,8 @@ PAGES = {
     ),
     "fit": Page(
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
-        r"^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*|ME still .*"
-        r"|half of each.*|depth|memory MB|fit s)$|\| 6 mm \||^[^|]*\| fast \|",
+        r"^(worst .*|worst|IoU .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*|ME still .*"
+        r"|half of each.*|depth)$|\| 6 mm \||^[^|]*\| fast \|",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(

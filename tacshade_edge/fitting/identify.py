@@ -52,6 +52,7 @@ BLUR_STEP_PX = 0.08
 BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0.012, 0.018, 0.06)))
 """Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): lengths, tips, bases, blur. Where pins
 stand is known better in the later ones."""
+LEAST, MOST = np.array((*LOWEST[:3], BLURS_PX[0])), np.array((*HIGHEST[:3], BLURS_PX[1]))
 DRAWN = 60
 ALIKE_CELLS = 10
 """Neighbouring cells err alike: this many count as one in the covariance."""
@@ -179,10 +180,11 @@ def with_lattice(problem: Problem, values: F64, moved_px: F64) -> F64:
 def quadratic(residual: Callable[[F64], F64], values: F64, free: Sequence[int], box: F64, seed: int) -> tuple[F64, F64]:
     """The values at the minimum of the quadratic through the costs of random values in a box, and their covariance."""
     at, n = list(free), len(free)
-    half = box[[min(k, 3) for k in at]]
+    columns_of = [min(k, 3) for k in at]
+    half, low, high = box[columns_of], LEAST[columns_of], MOST[columns_of]
     x = np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n))
     tried = np.tile(values, (DRAWN, 1))
-    tried[:, at] += x * half
+    tried[:, at] = np.clip(tried[:, at] + x * half, low, high)
     residuals = [residual(each) for each in tried]
     costs = np.array([float(r @ r) for r in residuals])
     pairs = [(i, j) for i in range(n) for j in range(i, n)]
@@ -197,7 +199,7 @@ def quadratic(residual: Callable[[F64], F64], values: F64, free: Sequence[int], 
     inverse = axes / curvature @ axes.T
     step = -inverse @ c[1 : n + 1]
     made, covariance = values.copy(), np.zeros((len(values), len(values)))
-    made[at] += half * step / max(np.abs(step).max() / FARTHEST, 1)
+    made[at] = np.clip(made[at] + half * step / max(np.abs(step).max() / FARTHEST, 1), low, high)
     noise = ALIKE_CELLS * costs.min() / len(residuals[0])
     covariance[np.ix_(at, at)] = 2 * noise * inverse * np.outer(half, half)
     return made, covariance

@@ -15,7 +15,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.render import carried
 from tacshade_edge.simulator.skin import Skin, press_skin
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import F64, Calibration
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.prints import Found
@@ -49,6 +49,23 @@ def test_the_print_is_found_as_it_was_made(model: SensorModel) -> None:
     from tacshade_edge.fitting.identify import identify
 
     assert_found(identify(of(model))[0], model)
+
+
+def test_sizes_stay_within_what_a_sensor_can_have() -> None:
+    from tacshade_edge.fitting.identify import BOXES, LEAST, MOST, quadratic
+
+    tried = []
+
+    def residual(values: F64) -> F64:
+        tried.append(values)
+        return values - 10.0
+
+    start = np.array((2.35, 0.45, 0.09, 0.4, 0.25))
+    values, _ = quadratic(residual, start, (0, 1, 2, 4), BOXES[0], 0)
+    for each in (*tried, values):
+        assert (each[[0, 1, 2, 4]] >= LEAST).all()
+        assert (each[[0, 1, 2, 4]] <= MOST).all()
+        assert each[3] == 0.4
 
 
 @pytest.mark.slow
