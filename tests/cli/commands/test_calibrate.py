@@ -306,7 +306,7 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("image,depth_mm\n0.png,1\n", "found 1 rows with depth_mm, expected at least 40 rows with the same quantity"),
+        ("image,depth_mm\n0.png,1\n", "found 1 row with depth_mm, expected at least 40 rows with the same quantity"),
         ("image,depth_mm\n" + 40 * "gone.png,1\n", "LABELS.csv:2: image: "),
         ("image,depth_mm\n" + 40 * "small.png,1\n", "small.png: found 32x24 px, expected 320x240 px"),
         (
