@@ -109,8 +109,8 @@ PAGES = {
     ),
     "fit": Page(
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
-        r"^(worst .*|worst|IoU .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*|ME still .*"
-        r"|half of each.*|depth)$|\| 6 mm \||^[^|]*\| fast \|",
+        r"^The fit of all|^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*"
+        r"|ME still .*|half of each.*|memory MB|fit s|depth)$|\| 6 mm \||^[^|]*\| fast \|",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(
