@@ -182,9 +182,9 @@ def quadratic(residual: Callable[[F64], F64], values: F64, free: Sequence[int], 
     at, n = list(free), len(free)
     columns_of = [min(k, 3) for k in at]
     half, low, high = box[columns_of], LEAST[columns_of], MOST[columns_of]
-    x = np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n))
     tried = np.tile(values, (DRAWN, 1))
-    tried[:, at] = np.clip(tried[:, at] + x * half, low, high)
+    tried[:, at] = np.clip(values[at] + np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n)) * half, low, high)
+    x = (tried[:, at] - values[at]) / half
     residuals = [residual(each) for each in tried]
     costs = np.array([float(r @ r) for r in residuals])
     pairs = [(i, j) for i in range(n) for j in range(i, n)]

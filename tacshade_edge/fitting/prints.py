@@ -164,10 +164,10 @@ def lattice_px(model: SensorModel, lattice: Lattice, steps: F64) -> F64:
 
 def tips_px(model: SensorModel, layout: Layout, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)) -> F64:
     """Where tips appear, (N, 2), col and row; with `parts`, what lies parts of the lattice's steps beside them."""
-    if isinstance(layout, Tips):
-        return layout.px if parts else np.zeros((0, 2))
     if not parts:
         return np.zeros((0, 2))
+    if isinstance(layout, Tips):
+        return layout.px
     return lattice_px(model, layout, layout.steps(model.skin_radius_mm, 1.05 * reach_mm(model), parts))
 
 
