@@ -1,6 +1,6 @@
 """Parts of the simulator, compiled: a twin needs thousands of skins and pictures.
 
-The membrane (`simulator.skin.solve`), what pixels see (`simulator.truth.skin_points`), and how material points
+The membrane (`simulator.skin.solve`, `slid`), what pixels see (`simulator.truth.skin_points`), and how material points
 move (`simulator.render.carried`, `simulator.truth.shear_mm`).
 """
 
@@ -11,7 +11,10 @@ import math
 import numba
 import numpy as np
 
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart
+from tacshade_edge.simulator import drag
+from tacshade_edge.simulator.drag import Contacts
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart, finer
 from tacshade_edge.simulator.truth import pixel_rays
 from tacshade_edge.types import F32, F64, Geometry
 
@@ -20,6 +23,7 @@ DRAG_STEPS, DRAG_TOLERANCE_MM = 40, 2e-3
 INVERSE_STEPS, INVERSE_TOLERANCE_MM = 60, 1e-3
 TOLERANCE_MM = 5e-4
 SWEEPS = 600
+RELAXATION, SLID_TOLERANCE_MM = 1.7, 1e-3
 
 
 def solve(obstacle: F32, mass: F32) -> F32:
@@ -64,6 +68,48 @@ def _relax(height, obstacle, gain, omega, tolerance):  # type: ignore[no-untyped
                     height[i, j] = new
         if change < tolerance:
             break
+
+
+def slid(held: F32, limit: F32, mass: F32) -> F32:
+    """Solve like `simulator.skin.slid`."""
+    if min(mass.shape) >= 24:
+        coarse = slid(*(np.ascontiguousarray(a[..., ::2, ::2]) for a in (held, limit * 4, mass * 4)))
+        w = np.where(limit > 0, held, finer(coarse, mass.shape))
+    else:
+        w = held.copy()
+    w[:, 0] = w[:, -1] = 0
+    w[:, :, 0] = w[:, :, -1] = 0
+    _slide(w, held, limit, mass, np.float32(RELAXATION), np.float32(SLID_TOLERANCE_MM * (2 - RELAXATION)))
+    return w
+
+
+@numba.njit(cache=True, fastmath=True)
+def _slide(w, held, limit, mass, omega, tolerance):  # type: ignore[no-untyped-def]
+    """Relax by projected red-black over-relaxation."""
+    _, rows, cols = w.shape
+    for _ in range(SWEEPS):
+        change = np.float32(0)
+        for colour in range(2):
+            for i in range(1, rows - 1):
+                for j in range(1 + (i + 1 + colour) % 2, cols - 1, 2):
+                    diagonal = 4 + mass[i, j]
+                    x = w[0, i - 1, j] + w[0, i + 1, j] + w[0, i, j - 1] + w[0, i, j + 1]
+                    y = w[1, i - 1, j] + w[1, i + 1, j] + w[1, i, j - 1] + w[1, i, j + 1]
+                    if limit[i, j] > 0:
+                        qx, qy = held[0, i, j] * diagonal - x, held[1, i, j] * diagonal - y
+                        part = min(limit[i, j] / max(math.sqrt(qx * qx + qy * qy), np.float32(1e-12)), np.float32(1))
+                        x, y = x + part * qx, y + part * qy
+                    x, y = x / diagonal - w[0, i, j], y / diagonal - w[1, i, j]
+                    change = max(change, abs(x), abs(y))
+                    w[0, i, j] += omega * x
+                    w[1, i, j] += omega * y
+        if change < tolerance:
+            break
+
+
+def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
+    """Carry like `simulator.drag.carry`."""
+    return drag.carry(contacts, weight, step_mm, model, slid)
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:

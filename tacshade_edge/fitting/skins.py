@@ -14,7 +14,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.fitting import compiled
 from tacshade_edge.fitting.shapes import random_shape
 from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.drag import Mechanics, drag_skin, two_scale_skin
+from tacshade_edge.simulator.drag import Mechanics, drag_skin, leant_mm, two_scale_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, Shape, distance_mm
 from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
@@ -24,6 +24,8 @@ from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 N = disc_map.CELLS
 UNLOADED_PART, RELEASED_PART, UNDRAGGED_PART, NUISANCE_PART = 0.04, 0.04, 0.3, 0.5
 PLATE_PART = 0.5
+MEMBRANE = Mechanics(leant_mm, compiled.carry)
+"""`simulator.drag.MEMBRANE`, compiled."""
 
 DrawPresses = Callable[[SensorModel, np.random.Generator], tuple[Press, ...]]
 
@@ -157,7 +159,7 @@ def pressed_skin(
             if rng.random() > UNDRAGGED_PART:
                 presses = random_drag(presses, model, rng)
             shape = functools.partial(uneven_skin, model, presses, unevenness)
-            return drag_skin(shape, model, presses, unevenness.mechanics), presses
+            return drag_skin(shape, model, presses, unevenness.mechanics or MEMBRANE), presses
         except ValueError:
             continue
 

@@ -129,13 +129,11 @@ class Frames:
 class View:
     """A sensor of the cloud, which draws frames and preprocesses them as its own calibration would."""
 
-    def __init__(
-        self, calibration: Calibration, found: Found, values: F64, dome: SensorModel, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, calibration: Calibration, found: Found, values: F64, rng: np.random.Generator) -> None:
         model, layout = found.at(values)
         disc = calibration.geometry.disc
         self.model = replace(
-            on_dome(model, dome),
+            model,
             row_c=disc.row_c + float(rng.normal(0, 0.3)),
             col_c=disc.col_c + float(rng.normal(0, 0.3)),
             disc_radius_px=disc.radius_px * (1 + float(rng.normal(0, 0.003))),
@@ -149,7 +147,7 @@ class View:
         )
         self.renderer = TwinRenderer(self.model, found.kind, print_of(self.model, found.kind, layout), found.light)
         clean = self.renderer.draw(undeformed(self.model.skin_radius_mm))
-        greys = [greyscale.to_grey(self.renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(REFERENCES)]
+        greys = [self.renderer.level(clean, int(rng.integers(1 << 30))) for _ in range(REFERENCES)]
         own = with_reference(calibration, greys)
         made = {way: Preprocessor(own, PROFILES[way]) for way in (WHOLE, HALVED)}
         self._ways = {
@@ -160,6 +158,10 @@ class View:
             way: _bytes(cells.means(each.reference_white) / np.float32(255))
             for way, (each, cells) in self._ways.items()
         }
+
+    def wear(self, dome: SensorModel) -> None:
+        """Show skins with the mechanics of another sensor's."""
+        self.model = self.renderer.model = on_dome(self.model, dome)
 
     def white(self, image: U8) -> dict[str, U8]:
         """White of the cells of a picture, for `WHOLE` and `HALVED`."""
@@ -224,20 +226,21 @@ def drawn_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, 
 def simulate(
     calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int, skins: int, views: int
 ) -> Frames:
-    """Simulate one dome, whose skins several prints of the cloud show."""
+    """Simulate skins, each with its own mechanics, that several prints of the cloud show."""
     rng = np.random.default_rng((seed, 31))
-    dome, unevenness = drawn_dome(prints[0].base, mechanics, rng)
     seen = []
     for _ in range(views):
         found = prints[int(rng.integers(len(prints)))]
-        seen.append(View(calibration, found, drawn_values(found, rng), dome, rng))
+        seen.append(View(calibration, found, drawn_values(found, rng), rng))
     disc = calibration.geometry.disc
     white: dict[str, list[U8]] = {way: [] for way in (WHOLE, HALVED)}
     heights, contacts, shears = [], [], []
     for _ in range(skins):
+        dome, unevenness = drawn_dome(prints[0].base, mechanics, rng)
         skin, presses = random_skin(dome, unevenness, rng, drawn_presses)
         for view in seen:
-            image = view.renderer.expose(view.renderer.draw(skin), int(rng.integers(1 << 30)))
+            view.wear(dome)
+            image = view.renderer.level(view.renderer.draw(skin), int(rng.integers(1 << 30)))
             if rng.random() < NUISANCE_PART:
                 image = disturbed(image, disc, rng)
             height, contact = true_maps(skin, presses, view.model.geometry, disc)
@@ -277,13 +280,13 @@ class Steps:
         return self._path(name).exists()
 
     def save_frames(self, name: str, frames: Frames) -> None:
-        """Keep a dome's frames. Raises DeviceError."""
+        """Keep a batch's frames. Raises DeviceError."""
         plain = {field.name: getattr(frames, field.name) for field in fields(Frames)}
         ways = {f"{what}.{way}": each for what in ("reference", "white") for way, each in plain.pop(what).items()}
         self._save(name, plain | ways)
 
     def frames(self, name: str) -> Frames:
-        """A dome's frames. Raises DecodeError for a damaged file, which is removed."""
+        """A batch's frames. Raises DecodeError for a damaged file, which is removed."""
         made: dict[str, Any] = {"reference": {}, "white": {}}
         for key, each in self._load(name).items():
             what, _, way = key.partition(".")

@@ -204,14 +204,20 @@ def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presse
     return Contacts(rows, cols, owner, held, touched, pressure_mm[every, every][rows, cols])
 
 
-def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
+def carry(
+    contacts: Contacts,
+    weight: F32,
+    step_mm: float,
+    model: SensorModel,
+    solver: Callable[[F32, F32, F32], F32] = slid,
+) -> F32:
     """`Mechanics.carry` of the membrane: `slid` under Coulomb's law."""
     steepest = _STEEPEST * model.drag_decay_mm / np.maximum(np.linalg.norm(contacts.held_mm, axis=1), 1e-9)
     nodes = (step_mm / model.drag_decay_mm) ** 2
     held, limit = np.zeros((2, *weight.shape), np.float32), np.zeros(weight.shape, np.float32)
     held[:, contacts.rows, contacts.cols] = (contacts.held_mm * np.minimum(steepest, 1)[:, None]).T
     limit[contacts.rows, contacts.cols] = contacts.pressure_mm * (model.coulomb * nodes)
-    return slid(held, limit, weight * np.float32(nodes))
+    return solver(held, limit, weight * np.float32(nodes))
 
 
 MEMBRANE = Mechanics(leant_mm, carry)

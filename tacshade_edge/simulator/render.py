@@ -170,15 +170,19 @@ class Renderer:
 
     def expose(self, image: F32, noise_seed: int) -> U8:
         """Add the camera's noise and colour, and quantise: uint8 (H, W, 3) BGR."""
-        model = self.model
-        rng = np.random.default_rng((noise_seed, 3))
-        variance = model.read_noise_grey**2 + np.maximum(image, 0) * (model.shot_noise_grey**2 / 255)
-        # One draw for the three channels, because demosaicking leaves nearly the same noise in each.
-        grey = image + np.sqrt(variance) * rng.standard_normal(image.shape, np.float32)
-        level = np.clip(grey + 0.5, 0, 255).astype(np.uint8)
-        ramp = np.arange(256)[None, :, None] * np.array(model.colour_bgr)
+        level = self.level(image, noise_seed)
+        ramp = np.arange(256)[None, :, None] * np.array(self.model.colour_bgr)
         table = np.clip(ramp + 0.5, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(cv2.merge((level, level, level)), table), np.uint8)
+
+    def level(self, image: F32, noise_seed: int) -> U8:
+        """Add the camera's noise, and quantise: uint8 (H, W), the same for the three channels, because demosaicking
+        leaves nearly the same noise in each.
+        """
+        model, rng = self.model, np.random.default_rng((noise_seed, 3))
+        variance = model.read_noise_grey**2 + np.maximum(image, 0) * (model.shot_noise_grey**2 / 255)
+        grey = image + np.sqrt(variance) * rng.standard_normal(image.shape, np.float32)
+        return np.asarray(np.clip(grey + 0.5, 0, 255), np.uint8)
 
     def _features(self, skin: Skin) -> U8:
         """Reflectance times 255, (H, W): markers on the skin, pins over them."""

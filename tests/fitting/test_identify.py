@@ -105,3 +105,7 @@ def test_compiled_parts_agree_with_the_simulator(dragged: Skin) -> None:
     obstacle = rng.uniform(-1, 1, (60, 60)).clip(0).astype(np.float32)
     mass = np.full((60, 60), 0.02, np.float32)
     np.testing.assert_allclose(compiled.solve(obstacle, mass), skin.solve(obstacle, mass), atol=5e-3)
+    held = rng.normal(1, 0.2, (2, 60, 60)).astype(np.float32)
+    slips = compiled.slid(held, 0.2 * obstacle, mass)
+    np.testing.assert_allclose(slips, skin.slid(held, 0.2 * obstacle, mass), atol=5e-3)
+    assert np.abs(slips - held)[:, obstacle > 0].mean() > 0.01

@@ -18,6 +18,7 @@ from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.simulator.press import OBJECTS, Press
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, SensorName, calibrate_sensors
 from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text
@@ -27,8 +28,23 @@ from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_
 NETWORKS = tuple(name for name in PROFILES if name != "paper")
 """The profiles that take far less than a second per frame."""
 COLOURS = ("#3d6fb4", "#e4572e", "#4a9c5d", "#8a5fb0")
+ALONE = "_none"
+"""Ends the name of a calibration that was fitted to references alone."""
 Row = TypeVar("Row")
 Part = TypeVar("Part")
+
+
+class _Fitted(argparse.Action):
+    """Takes the sensors whose fitted calibrations a folder contains."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        namespace.fitted = {
+            SensorName.parse(path.stem.removesuffix(ALONE).replace("_", ":")): path
+            for path in sorted(Path(values).glob(f"*{ALONE}.npz"))
+        }
+        namespace.sensors = tuple(namespace.fitted)
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
@@ -42,6 +58,9 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
     )
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
+    which.add_argument(
+        "--fitted", type=Path, metavar="FOLDER", help="those that tools.studies.fit fitted to references"
+    )
     add_output(parser)
     return parser
 
@@ -49,7 +68,7 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options that `run` and `publish` need."""
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
-    parser.set_defaults(json=False)
+    parser.set_defaults(json=False, fitted=None)
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
@@ -75,6 +94,19 @@ def folder_for(parser: argparse.ArgumentParser, out: Path | None) -> Iterator[No
         parser.exit(1, f"{parser.prog}: {error}\n")
 
 
+def calibrations(
+    fitted: Mapping[SensorName, Path] | None, sensors: Sequence[SensorName], references: int, presses: int,
+    pool: Workers, report: Report,
+) -> list[Calibration]:  # fmt: skip
+    """Calibrate the sensors, or load their fitted calibrations.
+
+    Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
+    """
+    if fitted is None:
+        return [made.calibration for made in calibrate_sensors(sensors, references, presses, pool, report)]
+    return [calibration_file.load(fitted[name]) for name in sensors]
+
+
 def over_sensors(
     job: Callable[[tuple[SensorName, Calibration, Part]], Sequence[Row]],
     sensors: Sequence[SensorName],
@@ -84,13 +116,14 @@ def over_sensors(
     *,
     references: int = REFERENCES,
     presses: int = PRESSES,
+    fitted: Mapping[SensorName, Path] | None = None,
 ) -> list[Row]:
     """Calibrate the sensors, and do a job for each part (the longest first) on each of them; return the rows.
 
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
-    found = calibrate_sensors(sensors, references, presses, pool, report)
-    tasks = [(name, made.calibration, part) for part in parts for name, made in zip(sensors, found, strict=True)]
+    found = calibrations(fitted, sensors, references, presses, pool, report)
+    tasks = [(name, made, part) for part in parts for name, made in zip(sensors, found, strict=True)]
     return [row for rows in reported_map(job, tasks, pool, report, "parts of the study") for row in rows]
 
 

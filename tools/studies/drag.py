@@ -214,7 +214,7 @@ def main(words: Sequence[str] | None = None) -> None:
     command.add_calibration(parser)
     args = parser.parse_args(words)
     command.check_presses(parser, args.presses)
-    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects)
+    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects, fitted=args.fitted)
     work = partial(work, references=args.references, presses=args.presses)
     command.run(parser, args, "drag", work, text, {"": DragRow})
 

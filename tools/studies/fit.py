@@ -5,12 +5,12 @@
 
     .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER]
 
-A case is a sensor fitted to references and presses, with ``/none`` to references alone. The presses are of balls of
-three sizes, flat ends of two, a square and a lying bar, or of the balls alone (``/balls``, with the exact print as its
-drawing ``/drawing``), 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm in place and 0.03 mm in depth (one
-standard deviation each). Networks that the fit does not keep are judged as well. Each case runs in its own process.
-With a folder, the study keeps each case's results and its fitted calibration there, and does not measure the case again
-until the program changes.
+A case is a sensor and what the fit knows of it (`WAYS`): references and 40 presses, references alone (``/none``), or
+what a user does not know: the exact print and mechanics, or wrong ones. The presses are of balls of three sizes, flat
+ends of two, a square and a lying bar, or of the balls alone, 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm
+in place and 0.03 mm in depth (one standard deviation each). Networks that the fit does not keep are judged as well.
+Each case runs in its own process. With a folder, the study keeps each case's results and its fitted calibration there,
+and does not measure the case again until the program changes.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.fitting.fit import fit
 from tacshade_edge.fitting.identify import identify
 from tacshade_edge.fitting.prints import PARAMETERS
+from tacshade_edge.fitting.twin import Mechanics
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
@@ -67,6 +68,31 @@ CASES = (
     "5/none,11/none,21/none,other:31/none,other:32/none,other:33/none,"
     "5,11/balls,21/balls,other:31,other:32/balls,other:33/balls"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What a fit knows. `presses`: "mixed", "balls" or "none". `pin_length`: its factor in an otherwise exact drawing,
+    without which the fit finds the print. `decay`: the factor on the skin's decay length, which is known with the
+    friction; without it, presses show them.
+    """
+
+    presses: str
+    pin_length: float | None = None
+    decay: float | None = None
+
+
+WAYS = {
+    "": Way("mixed"),
+    "none": Way("none"),
+    "balls": Way("balls"),
+    "drawing": Way("balls", 1.0),
+    "exact": Way("none", 1.0, 1.0),
+    "long": Way("none", 1.2, 1.0),
+    "short": Way("none", 0.8, 1.0),
+    "slow": Way("none", 1.0, 1.5),
+    "steep": Way("none", 1.0, 0.5),
+}
 PRESSES = 40
 REFERENCES = 5
 PRESSED_MM = (0.6, 4.5)
@@ -77,6 +103,7 @@ DRAG_MM, DRAGGED_MM = 2.0, 3.0
 """Length of a drag, and depth during it, mm."""
 ROUNDS, STARTS = 40, 5
 """Numbers of frames and starts behind a reported median."""
+HELD = ("in 90 % still", "in 90 % dragged")
 CYLINDER_MM = 5.0
 """Radius of the simulator's cylinder."""
 
@@ -236,14 +263,21 @@ def sizes_off_pct(calibration: Calibration, model: SensorModel) -> dict[str, flo
 
 def measured(case: str, keep: Path | None) -> dict[str, object]:
     """Calibrate, fit and judge a case; keep the calibration that the user would have."""
-    text, _, presses = case.partition("/")
-    name = sensor_name(text)
+    text, _, known = case.partition("/")
+    name, way = sensor_name(text), WAYS[known]
     sensor = name.make()
-    balls = presses in {"balls", "drawing"}
-    result = calibrated(sensor, [] if presses == "none" else pressed(sensor, name.seed or 0, balls))
-    stated = drawing(sensor.model) if presses == "drawing" else None
+    model = sensor.model
+    result = calibrated(
+        sensor, [] if way.presses == "none" else pressed(sensor, name.seed or 0, way.presses == "balls")
+    )
+    stated, mechanics = {}, None
+    if way.pin_length:
+        stated = drawing(replace(model, pin_length_pitches=way.pin_length * model.pin_length_pitches))
+    if way.decay:
+        decay_mm = way.decay * model.skin_decay_mm
+        mechanics = Mechanics((decay_mm, decay_mm), (model.friction, model.friction), seen=True)
     began_s = time.monotonic()
-    fitted = fit(result.calibration, result.presses, lambda _: None, stated)
+    fitted = fit(result.calibration, result.presses, lambda _: None, stated, mechanics=mechanics)
     fit_s = time.monotonic() - began_s
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if keep:
@@ -318,7 +352,9 @@ def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[li
 
 
 def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of drag: ME next to that of the same objects undragged, and the error of shear."""
+    """Lines of the table of drag: ME next to that of the same objects undragged, the error of shear, and the share of
+    cells whose interval holds the true height.
+    """
     lines = []
     for profile in LADDER:
         cells = []
@@ -328,7 +364,10 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
             moved = [r for r in of_both if r.judged == "dragged"]
             me, before = np.mean(of_objects(moved, "me_mm")), np.mean(of_objects(still, "me_mm"))
             off = np.nanmedian([r.shear_off_mm for r in moved])
-            cells.append((f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", f"{off:.3f}"))
+            held = (np.nanmean([r.held_pct for r in some]) for some in (still, moved))
+            cells.append(
+                (f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", f"{off:.3f}", *(f"{h:.0f}" for h in held))
+            )
         lines.append([case, profile, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
     return lines
 
@@ -395,7 +434,7 @@ def main() -> None:
     first = ["sensor", "method"]
     print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
-    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "shear off mm")], drags))
+    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "shear off mm", *HELD)], drags))
     print("\nThe print that the reference shows, off by %\n")
     print(markdown(["sensor", *sizes], prints))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
@@ -30,7 +31,6 @@ from tacshade_edge.studies.evaluate.work import (
     SCENE_NOISE,
     PressedSensor,
     SensorName,
-    calibrate_sensors,
     calibrated_sensor,
     reconstructor,
 )
@@ -343,10 +343,13 @@ def cylinder_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: f
 _Task = tuple[Plan, SensorName, Calibration]
 
 
-def limits(plan: Plan, pool: Workers, report: Report) -> list[Found]:
-    """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    calibrations = calibrate_sensors(plan.sensors, plan.references, plan.presses, pool, report)
-    known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, calibrations, strict=True)]
+def limits(plan: Plan, pool: Workers, report: Report, fitted: Mapping[SensorName, Path] | None = None) -> list[Found]:
+    """Run a plan, with fitted calibrations if there are some.
+
+    Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
+    """
+    made = command.calibrations(fitted, plan.sensors, plan.references, plan.presses, pool, report)
+    known = [(plan, name, calibration) for name, calibration in zip(plan.sensors, made, strict=True)]
     # The longest jobs come first, so that no core waits at the end.
     jobs: list[tuple[Callable[[Any], Sequence[Found]], Any]] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
@@ -591,7 +594,8 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Where the method ends.", "default,5,11")
     args = parser.parse_args(words)
-    command.run(parser, args, "limits", partial(limits, Plan(args.sensors, tuple(args.profile))), text, KINDS)
+    work = partial(limits, Plan(args.sensors, tuple(args.profile)), fitted=args.fitted)
+    command.run(parser, args, "limits", work, text, KINDS)
 
 
 if __name__ == "__main__":

@@ -149,7 +149,7 @@ def main(words: Sequence[str] | None = None) -> None:
     command.check_presses(parser, args.presses)
     if "paper" in args.profile:
         parser.error("--profile: found paper, which gives no errors")
-    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects)
+    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects, fitted=args.fitted)
     work = partial(work, references=args.references, presses=args.presses)
     command.run(parser, args, "sigma", work, text, {"": SigmaRow})
 

@@ -296,7 +296,7 @@ def main(words: Sequence[str] | None = None) -> None:
         parser.error("--sensors: only the family tacshade moves in time")
     plan = Plan(args.sensors, tuple(args.profile), held_s=args.held)
     parts = [(speed, what) for speed in (0.0, *plan.speeds_mm_s) for what in plan.objects]
-    work = partial(command.over_sensors, partial(rows, plan), plan.sensors, parts)
+    work = partial(command.over_sensors, partial(rows, plan), plan.sensors, parts, fitted=args.fitted)
     command.run(parser, args, "slip", work, text, {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow})
 
 
