@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9026/none,other:9026/none,9026"
+FITTED = "9027/none,other:9027/none,9027,other:9027,9027/exact,5/long,5/slow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ PAGES = {
     "fit": Page(
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
         r"^The fit of all|^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*"
-        r"|ME still .*|half of each.*|memory MB|fit s|depth)$|\| 6 mm \||^[^|]*\| fast \|",
+        r"|ME still .*|half of each.*|memory MB|fit s|depth|in 90 % still.*|in 90 % dragged shipped)$|\| 6 mm \||^[^|]*\| fast \|",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(
