@@ -30,7 +30,6 @@ from tacshade_edge.fitting.prints import (
     KINDS,
     PARAMETERS,
     Found,
-    Kind,
     Problem,
     WhiteMap,
     base_model,
@@ -50,11 +49,11 @@ SIZES = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2), (0.35, 0.42, 0
 minimum of another print."""
 STARTS, FINISHED = 2, 3
 BLUR_STEP_PX = 0.08
-BOXES = np.array(((0.2, 0.025, 0.035, 0.06, 0.12), (0.15, 0.018, 0.025, 0.04, 0.08), (0.1, 0.012, 0.018, 0.03, 0.06)))
-"""Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): `PARAMETERS`, then blur. Where pins
+BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0.012, 0.018, 0.06)))
+"""Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): lengths, tips, bases, blur. Where pins
 stand is known better in the later ones."""
-LEAST, MOST = np.array((*LOWEST, BLURS_PX[0])), np.array((*HIGHEST, BLURS_PX[1]))
-DRAWN = 75
+LEAST, MOST = np.array((*LOWEST[:3], BLURS_PX[0])), np.array((*HIGHEST[:3], BLURS_PX[1]))
+DRAWN = 60
 ALIKE_CELLS = 10
 """Neighbouring cells err alike: this many count as one in the covariance."""
 REGISTERED_CELLS, REGISTERED_PART, LEAST_SLOPE = 0.7, 0.88, 1e-3
@@ -115,17 +114,12 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
     made = []
     for (values, _, _), problem, _ in begun[:FINISHED]:
-        free = [k for k in (*sizes_of(problem.kind), len(values) - 1) if k not in known]
+        free = [k for k in (0, 1, 2, len(values) - 1) if k not in known]
         values, covariance = refined(problem, values, free)
         unexplained = problem.against(0.0)(values)
         residual = math.sqrt(float(unexplained @ unexplained) / cells) / spread
         made.append(Found(problem.kind, values, covariance, residual, problem.tips, base, light))
     return sorted(made, key=lambda each: each.residual)
-
-
-def sizes_of(kind: Kind) -> tuple[int, ...]:
-    """Which of `PARAMETERS` a kind of print has."""
-    return (0, 1, 2) if kind.white_tips else (0, 1, 2, 3)
 
 
 def refined(problem: Problem, values: F64, free: Sequence[int]) -> tuple[F64, F64]:
@@ -186,7 +180,7 @@ def with_lattice(problem: Problem, values: F64, moved_px: F64) -> F64:
 def quadratic(residual: Callable[[F64], F64], values: F64, free: Sequence[int], box: F64, seed: int) -> tuple[F64, F64]:
     """The values at the minimum of the quadratic through the costs of random values in a box, and their covariance."""
     at, n = list(free), len(free)
-    columns_of = [min(k, 4) for k in at]
+    columns_of = [min(k, 3) for k in at]
     half, low, high = box[columns_of], LEAST[columns_of], MOST[columns_of]
     tried = np.tile(values, (DRAWN, 1))
     tried[:, at] = np.clip(values[at] + np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n)) * half, low, high)
