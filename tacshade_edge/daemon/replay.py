@@ -21,7 +21,7 @@ from tacshade_edge.protocol import messages, requests
 from tacshade_edge.protocol.requests import PlaybackCommand, Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
-from tacshade_edge.types import Calibration, Reconstruction
+from tacshade_edge.types import Reconstruction
 from tacshade_edge.version import installed_version
 
 Deliver = Callable[[RecordedFrame, Reconstruction], None]
@@ -95,7 +95,7 @@ def replay(
         result = step_and_track(reconstructor, tracker, frame, timer.mark)
         assert result is not None  # by default everything is needed
         if progress.frames == 0 and result.reason is not None and result.reason.code is ReasonCode.SIZE:
-            _refuse_size(recorded, reconstructor.calibration)
+            raise ConfigError(f"{recorded.name}: {result.reason.text}")
         for deliver in sinks:
             deliver(recorded, result)
         timer.mark("deliver")
@@ -105,14 +105,6 @@ def replay(
         progress.invalid += not result.valid
         progress.last_ns = frame.t_ns
         progress.seconds = (time.monotonic_ns() - begin_ns) / 1e9
-
-
-def _refuse_size(recorded: RecordedFrame, calibration: Calibration) -> None:
-    height, width = recorded.frame.image.shape[:2]
-    raise ConfigError(
-        f"{recorded.name}: found {width}x{height} px, expected {calibration.image_width_px}x"
-        f"{calibration.image_height_px} px, the size of the calibration's images"
-    )
 
 
 Changed = Callable[[dict[str, Any]], None]

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     documents = load_all(args.config)
     if not documents[0].several:
-        gc.freeze()  # the collector would search all modules, for 15 ms, while a frame waits
+        gc.freeze()  # the collector would search all modules while a frame waits
         return _run_sensor(documents[0])
     from tacshade_edge.daemon import hand as hand_process  # only a hand or several sensors need it
 

@@ -121,7 +121,11 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
     (folder / "wrong" / "frames.csv").write_text("image,t_ns\n")
     (folder / "cut.npz").write_bytes((folder / "cal.npz").read_bytes()[:200])
     cases = [
-        (words(folder, "--out", str(out), recording="large"), 78, "found 320x240 px, expected 160x120 px"),
+        (
+            words(folder, "--out", str(out), recording="large"),
+            78,
+            "found 320x240 px, expected the calibration's 160x120 px",
+        ),
         (words(folder, "--out", str(out), recording="wrong"), 78, "frames.csv:1: found the header image,t_ns"),
         (words(folder, "--out", str(out), recording="none"), 78, "none: found nothing, expected a folder of images"),
         ([*words(folder, "--out", str(out))[:3], str(folder / "cut.npz"), "--out", str(out)], 78, "not a calibration"),
