@@ -147,8 +147,7 @@ GRID_STEPS_PER_RADIUS = 80
 """The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
 
 _TRACE_TOLERANCE_MM = 1e-4
-# A few rays run along a wall, which would take hundreds of steps: the least step grows to a fifth of the grid's.
-_LEAST_TRACE_MM, _MOST_TRACE_MM, _TRACE_GROWTH = 2e-3, 0.05, 1.06
+_LEAST_TRACE_MM = 2e-3  # a few rays run along a wall, which would take hundreds of steps
 _TRACE_STEPS = 400
 _OUTERMOST = 1.25
 """How far from O a leaning or bulging skin may reach, in skin radii."""
@@ -340,13 +339,11 @@ def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...
     index = np.flatnonzero(rays[..., 2] > rim)
     ray, end = rays.reshape(-1, 3)[index], np.float32(_OUTERMOST * radius_mm)
     t: F32 = np.full(len(index), start, np.float32)
-    least_mm = _LEAST_TRACE_MM
     for _ in range(_TRACE_STEPS):
         d = distance_mm(presses, radius_mm, ray * t[:, None])
         hit = d < _TRACE_TOLERANCE_MM
         entries.flat[index[hit]] = t[hit] + np.minimum(d[hit], 0)  # back out of what the least step entered
-        t = (t + np.maximum(d, least_mm)).astype(np.float32)
-        least_mm = min(least_mm * _TRACE_GROWTH, _MOST_TRACE_MM)
+        t = (t + np.maximum(d, _LEAST_TRACE_MM)).astype(np.float32)
         on = ~hit & (t < end)
         index, ray, t = index[on], ray[on], t[on]
         if not len(index):
