@@ -59,7 +59,7 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
     which.add_argument(
-        "--fitted", type=Path, metavar="FOLDER", help="those that tools.studies.fit fitted to references"
+        "--fitted", action=_Fitted, metavar="FOLDER", help="those that tools.studies.fit fitted to references"
     )
     add_output(parser)
     return parser
@@ -68,7 +68,7 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options that `run` and `publish` need."""
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
-    parser.set_defaults(json=False, fitted=None)
+    parser.set_defaults(json=False)
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
