@@ -525,14 +525,15 @@ DISTURBED: dict[str, Callable[[Sequence[DisturbedRow]], str]] = {
 
 def text(rows: Sequence[Found]) -> str:
     """The tables, for a terminal and a document."""
-    parts = {
-        "Nothing touches": _nulls_table(by_profile(rows, NullRow)),
-        "The least depth: part of the presses that is found, %": _faint_table(by_profile(rows, FaintRow)),
-        "The greatest depth: error of the greatest h, mm": _deep_table(by_profile(rows, DeepRow)),
-        "The finest shape, mm": _fine_table(by_profile(rows, FineRow)),
-        "A contact of 2 mm, disturbed: change of its depth, %": _disturbed_table(by_profile(rows, DisturbedRow)),
-    }
-    return "\n\n".join(f"{title}\n\n{table}" for title, table in parts.items())
+    parts: tuple[tuple[str, Callable[[Any], str], type[Any]], ...] = (
+        ("Nothing touches", _nulls_table, NullRow),
+        ("The least depth: part of the presses that is found, %", _faint_table, FaintRow),
+        ("The greatest depth: error of the greatest h, mm", _deep_table, DeepRow),
+        ("The finest shape, mm", _fine_table, FineRow),
+        ("A contact of 2 mm, disturbed: change of its depth, %", _disturbed_table, DisturbedRow),
+    )
+    of_kinds = ((title, table, by_profile(rows, kind)) for title, table, kind in parts)
+    return "\n\n".join(f"{title}\n\n{table(some)}" for title, table, some in of_kinds if some)
 
 
 def _nulls_table(profiles: Mapping[str, Sequence[NullRow]]) -> str:
@@ -594,7 +595,10 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Where the method ends.", "default,5,11")
     args = parser.parse_args(words)
-    work = partial(limits, Plan(args.sensors, tuple(args.profile)), fitted=args.fitted)
+    plan = Plan(args.sensors, tuple(args.profile))
+    if args.fitted is not None:  # only frames that a fit may take for others
+        plan = replace(plan, pitches_mm=(), faint_places=0, deep_places=0)
+    work = partial(limits, plan, fitted=args.fitted)
     command.run(parser, args, "limits", work, text, KINDS)
 
 
