@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9027/none,other:9027/none,9027,other:9027,9027/exact,5/long,5/slow"
+FITTED = "9027/none,other:9027/none,9027,other:9027,9027/exact"
 
 
 @dataclass(frozen=True, slots=True)
