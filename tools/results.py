@@ -110,8 +110,8 @@ PAGES = {
     "fit": Page(
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
         r"^The fit of all|^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*"
-        r"|ME still .*|half of each.*|memory MB|fit s|depth|in 90 % still.*|in 90 % dragged shipped)$"
-        r"|\| 6 mm \||^[^|]*\| fast \|",
+        r"|ME still .*|half of each.*|memory MB|fit s|depth|kept|in 90 % .*)$|\| 6 mm \||^[^|]*\| fast \|"
+        r"|^[^|]*(\d|/exact) \| [+-]",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(
