@@ -140,7 +140,8 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
         dashboard(f"127.0.0.1:{broker.port}") as address,
         Subscriber(broker.port, "tacshade/run-a/+/+") as seen,
     ):
-        command += ["--mqtt", f"127.0.0.1:{broker.port}"]
+        # Slowly, so that none ends before a slow browser has chosen both.
+        command += ["--mqtt", f"127.0.0.1:{broker.port}", "--speed", "0.25"]
         child, other = (
             subprocess.Popen([*command, "--sensor-id", name, "--profile", profile], stdout=subprocess.DEVNULL)
             for name, profile in (("run-a", "balanced"), ("run-b", "fast"))
