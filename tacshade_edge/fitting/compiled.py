@@ -12,9 +12,10 @@ import numba
 import numpy as np
 
 from tacshade_edge.simulator import drag
+from tacshade_edge.simulator import skin as uncompiled
 from tacshade_edge.simulator.drag import Contacts
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart, finer
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart
 from tacshade_edge.simulator.truth import pixel_rays
 from tacshade_edge.types import F32, F64, Geometry
 
@@ -72,20 +73,13 @@ def _relax(height, obstacle, gain, omega, tolerance):  # type: ignore[no-untyped
 
 def slid(held: F32, limit: F32, mass: F32) -> F32:
     """Solve like `simulator.skin.slid`."""
-    if min(mass.shape) >= 24:
-        coarse = slid(*(np.ascontiguousarray(a[..., ::2, ::2]) for a in (held, limit * 4, mass * 4)))
-        w = np.where(limit > 0, held, finer(coarse, mass.shape))
-    else:
-        w = held.copy()
-    w[:, 0] = w[:, -1] = 0
-    w[:, :, 0] = w[:, :, -1] = 0
-    _slide(w, held, limit, mass, np.float32(RELAXATION), np.float32(SLID_TOLERANCE_MM * (2 - RELAXATION)))
-    return w
+    return uncompiled.slid(held, limit, mass, _slide)
 
 
 @numba.njit(cache=True, fastmath=True)
-def _slide(w, held, limit, mass, omega, tolerance):  # type: ignore[no-untyped-def]
+def _slide(w, held, limit, mass):  # type: ignore[no-untyped-def]
     """Relax by projected red-black over-relaxation."""
+    omega, tolerance = np.float32(RELAXATION), np.float32(SLID_TOLERANCE_MM * (2 - RELAXATION))
     _, rows, cols = w.shape
     for _ in range(SWEEPS):
         change = np.float32(0)

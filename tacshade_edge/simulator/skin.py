@@ -83,19 +83,13 @@ def _part(apart: list[list[F32]], row: int, col: int, shape: tuple[int, int]) ->
     return there[row // 2 : row // 2 + shape[0], col // 2 : col // 2 + shape[1]]
 
 
-def slid(held: F32, limit: F32, mass: F32) -> F32:
-    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something touches) for w (2,
-    rows, cols), 0 on the border and `held` where the limit allows it, by projected red-black over-relaxation that
-    starts on a quarter of the nodes.
-    """
+Slide = Callable[[F32, F32, F32, F32], object]
+"""Relaxes w in place, from `held`, `limit` and `mass`."""
+
+
+def _slide(w: F32, held: F32, limit: F32, mass: F32) -> None:
+    """Relax by projected red-black over-relaxation."""
     rows, cols = mass.shape
-    if min(mass.shape) >= 24:
-        coarse = slid(*(np.ascontiguousarray(a[..., ::2, ::2]) for a in (held, limit * 4, mass * 4)))
-        w = np.where(limit > 0, held, finer(coarse, mass.shape))
-    else:
-        w = held.copy()
-    w[:, 0] = w[:, -1] = 0
-    w[:, :, 0] = w[:, :, -1] = 0
     planes = []
     for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
         r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
@@ -131,6 +125,22 @@ def slid(held: F32, limit: F32, mass: F32) -> F32:
             centre += np.float32(_RELAXATION) * total
         if change < _TOLERANCE_MM * (2 - _RELAXATION):
             break
+
+
+def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide) -> F32:
+    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something touches) for w (2,
+    rows, cols), 0 on the border and `held` where the limit allows it, by relaxation that starts on a quarter of the
+    nodes.
+    """
+    if min(mass.shape) >= 24:
+        few = [np.ascontiguousarray(each[..., ::2, ::2]) for each in (held, limit * 4, mass * 4)]
+        coarse = slid(few[0], few[1], few[2], relax)
+        w = np.where(limit > 0, held, finer(coarse, mass.shape))
+    else:
+        w = held.copy()
+    w[:, 0] = w[:, -1] = 0
+    w[:, :, 0] = w[:, :, -1] = 0
+    relax(w, held, limit, mass)
     return w
 
 
