@@ -45,6 +45,8 @@ class _Fitted(argparse.Action):
             for path in sorted(Path(values).glob(f"*{ALONE}.npz"))
         }
         namespace.sensors = tuple(namespace.fitted)
+        if not namespace.sensors:
+            parser.error(f"--fitted: found no *{ALONE}.npz in {values}")
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
