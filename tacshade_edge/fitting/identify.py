@@ -29,6 +29,7 @@ from tacshade_edge.fitting.prints import (
     BLURS_PX,
     KINDS,
     PARAMETERS,
+    TRIANGLES,
     Found,
     Problem,
     WhiteMap,
@@ -44,9 +45,12 @@ from tacshade_edge.types import F32, F64, Calibration
 
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
 STEPS = np.array((0.06, 0.012, 0.012, 0.015))
-SIZES = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2), (0.35, 0.42, 0.5)))
+SIZES, MARKERS = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2))), (0.35, 0.42, 0.5)
 """Sizes from which a fit may start: those that explain the reference best are followed, so that it does not end in a
 minimum of another print."""
+MERGED, APART = 0.5, 0.28
+"""Radii of markers in triangles that merge, so that nothing shows their size, and of those that hardly do. With a free
+size, fits of merged ones stop in minima of other prints."""
 STARTS, FINISHED = 2, 3
 BLUR_STEP_PX = 0.08
 BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0.012, 0.018, 0.06)))
@@ -84,12 +88,13 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     e = 0.02 * base.pitch_mm
     begun = []
     for kind in KINDS:
+        merge = kind.marker_parts == TRIANGLES and 3 not in known
         if kind.white_tips and len(tips) > 12:
             seen_at, place = Tips(tips), np.zeros(0)
             lengths, others, first = [0.6], (0.25, 0.25, 0.4), (0, 1, 2)
         elif lattice is not None and not kind.white_tips:
             seen_at, place = None, lattice.values
-            lengths, others, first = [1.1, 1.6, 2.0], (0.35, 0.28, 0.45), (0, 1, 3)
+            lengths, others, first = [1.1, 1.6, 2.0], (0.35, 0.28, MERGED if merge else 0.45), (0, 1, 3)
         else:
             continue
         problem = Problem(white, reference, calibration.pitch_px, sharp, middle, light, base, kind, seen_at)
@@ -102,18 +107,25 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
             np.array((*LOWEST, *-reach, BLURS_PX[0])),
             np.array((*HIGHEST, *reach, BLURS_PX[1])),
         )
-        free = [k for k in (*first, *range(4, len(starts[0]))) if k not in known]
+        every = [k for k in (*first, *range(4, len(starts[0]))) if k not in known]
+        free = [k for k in every if not merge or k != 3]
         rough, finer = problem.against(2.0), problem.against(1.0)
         starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
         if not problem.tips:
-            starts += [_resized(each, sizes, known) for each in starts for sizes in SIZES]
+            markers = (MERGED,) if merge else MARKERS
+            starts += [_resized(each, (*sizes, m), known) for each in starts for sizes in SIZES for m in markers]
         starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
         fits = [levenberg(finer, each, free, *limits, 4) for each in starts[:STARTS]]
-        begun.append((min(fits, key=lambda fit: fit[1]), problem, limits))
+        fit = min(fits, key=lambda fit: fit[1])
+        begun.append((fit, problem))
+        if merge:
+            apart = fit[0].copy()
+            apart[3] = APART
+            begun.append((levenberg(finer, apart, every, *limits, 4), problem))
     begun.sort(key=lambda each: each[0][1])
     spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
     made = []
-    for (values, _, _), problem, _ in begun[:FINISHED]:
+    for (values, _, _), problem in begun[:FINISHED]:
         free = [k for k in (0, 1, 2, len(values) - 1) if k not in known]
         values, covariance = refined(problem, values, free)
         unexplained = problem.against(0.0)(values)
