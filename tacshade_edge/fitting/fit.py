@@ -29,7 +29,7 @@ from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES, Profile
 from tacshade_edge.fitting import training
-from tacshade_edge.fitting.identify import identify
+from tacshade_edge.fitting.identify import MERGED, identify
 from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import LEAST_PRESSES, Frames, Mechanics, Steps, likely_mechanics, simulate
@@ -378,6 +378,9 @@ def _words(prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, f
         key = parameter.replace("_pitches", "_mm")
         if key in stated:
             sizes.append(f"{what} {stated[key]:g} mm {how} as stated")
+            continue
+        if what == "markers" and best.values[k] == MERGED:
+            sizes.append("markers that merge")
             continue
         each = pitch_mm * np.array([found.values[k] for found in prints])
         spread = pitch_mm * math.sqrt(best.cloud()[k, k])

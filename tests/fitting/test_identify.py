@@ -39,6 +39,7 @@ def assert_found(best: Found, model: SensorModel) -> None:
     )
     assert found_mm[1] == pytest.approx(true_mm[1], rel=0.12)
     if not best.kind.white_tips:
+        assert len(best.kind.marker_parts) == 2
         assert found_mm[0] == pytest.approx(true_mm[0], rel=0.2)
         assert found_mm[2] == pytest.approx(true_mm[2], rel=0.25)
 
