@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9027/none,other:9027/none,9027,other:9027,9027/exact"
+FITTED = "9028/none,other:9028/none,9028,other:9028,9027/drawing,other:9027/drawing,9027/exact,9027/long"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ PAGES = {
         {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
         r"^The fit of all|^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*"
         r"|ME still .*|half of each.*|memory MB|fit s|depth|kept|in 90 % .*)$|\| 6 mm \||^[^|]*\| fast \|"
-        r"|^[^|]*(\d|/exact) \| [+-]",
+        r"|^[^|]*(\d|/[^n]\w+) \| [+-]",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(

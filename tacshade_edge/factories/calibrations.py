@@ -14,7 +14,7 @@ from tacshade_edge.core.calibration.inputs import Inputs
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.factories import sources
-from tacshade_edge.inference.network import SHEAR, can_run, load_networks
+from tacshade_edge.inference.network import can_run, load_networks
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, Files, Rpicam, V4l2
 from tacshade_edge.storage.atomic_files import write_whole
@@ -73,7 +73,7 @@ def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibrat
 
 
 def _can_run(profile: str, fitted: FittedNetwork) -> bool:
-    network = SHEAR if profile == SHEAR else PROFILES[profile].network if profile in PROFILES else None
+    network = PROFILES[profile].network if profile in PROFILES else None
     return network is not None and can_run(network, fitted)
 
 

@@ -33,7 +33,7 @@ from tacshade_edge.fitting.identify import MERGED, identify
 from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import LEAST_PRESSES, Frames, Mechanics, Steps, likely_mechanics, simulate
-from tacshade_edge.inference.network import SHEAR, load_network, network_files, network_size, shipped_layout
+from tacshade_edge.inference.network import load_network, network_files, network_size, shipped_layout
 from tacshade_edge.inference.onnx_weights import weights_of
 from tacshade_edge.types import F32, F64, Calibration, FittedNetwork
 
@@ -106,7 +106,7 @@ PARTS = (0.25, 0.5, 0.75, 1.0)
 """Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
 what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
 """
-PART_ALONE = {"accurate": 0.25, SHEAR: 0.25, "balanced": 0.5, "fast": 0.5}
+PART_ALONE = {"accurate": 0.25, "balanced": 0.5, "fast": 0.5}
 """The part without presses that judge: less for networks that know other skins better."""
 CLEARLY, TOLERATED = 0.95, 1.1
 """How much better than `PART_ALONE` another part is on presses that is taken instead, and how much worse than the
@@ -118,9 +118,9 @@ MOST_WORKERS = 4
 _SAY_S = 5.0
 _SLOW_S = 1800.0
 """Simulating and training take about as long: a fit with one that takes longer than this is over an hour."""
-NAMES = (DEFAULT, *(name for name in (*LADDER, SHEAR) if name != DEFAULT))
+NAMES = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
 """The fitted networks, the default profile's first."""
-_COSTS = {"accurate": 1.0, "shear": 1.2, "balanced": 0.4, "fast": 0.15}
+_COSTS = {"accurate": 1.0, "balanced": 0.4, "fast": 0.15}
 """Relative duration of the trainings: the longest begins."""
 
 Say = Callable[[str], None]
@@ -131,7 +131,7 @@ Say = Callable[[str], None]
 class NetworkReport:
     """Errors of a network, as shipped and fitted.
 
-    `name`: a profile, or `SHEAR`. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training
+    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training
     did not see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network
     has learnt. None without presses; the second also if the fitted network misses more of them.
     """
@@ -229,7 +229,7 @@ def _digest(
     digest.update(repr(known).encode())
     for press in presses:
         digest.update(press.image.tobytes() + repr((press.radius_mm, press.depth_mm, press.x_mm, press.y_mm)).encode())
-    for name in (*LADDER, SHEAR):
+    for name in LADDER:
         digest.update(shipped_layout(name).encode())
     return digest.hexdigest()
 
@@ -334,7 +334,7 @@ def _judged(
         return FittedNetwork(shipped_layout(name), made, correction, 0, off_mm, shipped_mm)
 
     before = None
-    if name != SHEAR and presses:
+    if presses:
         before = on_presses(calibration, PROFILES[name], load_network(name, None), presses)
     if before is None or not before.errors_mm:
         made = part_of_the_way(PART_ALONE[name])

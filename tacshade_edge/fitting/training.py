@@ -15,7 +15,7 @@ from torch.nn import functional
 from tacshade_edge.core.depth.learned import HEIGHT_SCALE
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.fitting.twin import HALVED, WHOLE, Frames
-from tacshade_edge.inference.network import SHEAR, network_files, network_size
+from tacshade_edge.inference.network import network_files, network_size
 from tacshade_edge.inference.onnx_weights import nodes_of, values_of, weights_of
 from tacshade_edge.types import F32, Calibration
 
@@ -51,7 +51,6 @@ class TorchNetwork:
     """
 
     def __init__(self, name: str) -> None:
-        self.name = name
         frame, once = network_files(name)
         self._nodes = [node for node in nodes_of(frame) if node.kind != "Constant"]
         if unknown := {node.kind for node in self._nodes} - set(OPERATIONS):
@@ -71,8 +70,8 @@ class TorchNetwork:
         """The tensors that training changes: all weights."""
         return list(self._weights.values())
 
-    def __call__(self, white: Tensor, known: Tensor) -> tuple[Tensor, ...]:
-        """Run frames: depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M); or shear (B, 2, M, M).
+    def __call__(self, white: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+        """Run frames: depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
         `white`: Tensor float32 (B, fold², N, N). `known` (Tensor float32 (B, fold² + 6, N, N)): what is known of each
         frame's sensor (`core.depth.learned.known_maps`).
         """
@@ -83,8 +82,7 @@ class TorchNetwork:
         for node in self._nodes:
             given = [values[name] for name in node.inputs if name in values]
             values[node.output] = OPERATIONS[node.kind](node.attributes, given)
-        outputs = ("displacement",) if self.name == SHEAR else ("depth_and_contact", "foreign")
-        return tuple(values[name] for name in outputs)
+        return values["depth_and_contact"], values["foreign"]
 
     def load(self, flat: F32) -> None:
         """Replace all weights with those of `flat`."""
@@ -216,8 +214,8 @@ LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "shear": shear_
 
 BATCH, AT_ONCE = 24, 12
 """The gradient of a batch is summed over parts, which halves the memory."""
-RATE, SHEAR_RATE = 1e-3, 5e-4
-"""Greatest learning rates of one cycle (Smith and Topin, 2019) of AdamW."""
+RATE = 1e-3
+"""Greatest learning rate of one cycle (Smith and Topin, 2019) of AdamW."""
 WARM_PART, DECAY = 0.15, 1e-3
 TORN_PART = 0.12
 OWN_PART = 0.3
@@ -286,7 +284,7 @@ class Maps:
 def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Maps:
     """Prepare a twin's frames for a network."""
     fold, cells = network_size(name)
-    way, by = WHOLE if name in (SHEAR, WHOLE) else HALVED, disc_map.CELLS // cells
+    way, by = WHOLE if name == WHOLE else HALVED, disc_map.CELLS // cells
 
     def pooled(array: np.ndarray) -> Tensor:
         values = torch.from_numpy(array)
@@ -323,9 +321,8 @@ def halved(device: str) -> torch.autocast:
 
 def train(network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, report: Callable[[int], None]) -> None:
     """Train a network; `report` receives the number of steps done. `skin_radii` as in `Maps.chances`."""
-    rate = SHEAR_RATE if network.name == SHEAR else RATE
-    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=WARM_PART)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=WARM_PART)
     rng, draw = np.random.default_rng(0), torch.Generator().manual_seed(0)
     chances = maps.chances(skin_radii)
     for step in range(1, steps + 1):
@@ -338,7 +335,7 @@ def train(network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, repo
             with halved("cpu"):
                 made = network(*maps.inputs(white[some], at_rest[some]))
             true = (maps.fold, *(each[some] for each in (height, contact, shear, untrusted)))
-            loss = shear_loss(made[0], *true) if network.name == SHEAR else depth_loss((made[0], made[1]), *true)
+            loss = depth_loss(made, *true)
             (loss * (len(some) / BATCH)).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
         optimiser.step()
@@ -347,18 +344,13 @@ def train(network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, repo
 
 
 def error(network: TorchNetwork, maps: Maps) -> float:
-    """Mean error in contact of h, or of the contacts' shear, in disc radii."""
+    """Mean error in contact of h, in disc radii."""
     errors = []
     for index in torch.arange(len(maps.white)).split(BATCH):
-        white, at_rest, height, contact, shear = maps.batch(index, 0)
+        white, at_rest, height, contact, _ = maps.batch(index, 0)
         with torch.no_grad():
-            made = network(*maps.inputs(white, at_rest))
+            made, _ = network(*maps.inputs(white, at_rest))
         touching = contact.flatten(1).sum(1) >= LEAST_CELLS * (len(contact[0]) / disc_map.CELLS) ** 2
-        if network.name == SHEAR:
-            part = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
-            off = (part * (made[0] - shear)).sum((2, 3)) / part.sum((2, 3)).clamp(min=1e-6)
-            errors.append(off.norm(dim=1)[touching])
-        else:
-            off = (split_output(made[0], maps.fold)[0] - height).abs() * contact
-            errors.append((off.flatten(1).sum(1) / contact.flatten(1).sum(1).clamp(min=1))[touching])
+        off = (split_output(made, maps.fold)[0] - height).abs() * contact
+        errors.append((off.flatten(1).sum(1) / contact.flatten(1).sum(1).clamp(min=1))[touching])
     return float(torch.cat(errors).mean()) / HEIGHT_SCALE

@@ -33,27 +33,26 @@ WEIGHTS = Path(str(resources.files("tacshade_edge.inference") / "weights"))
 SHEAR = "shear"  # name of the network of shear, which all profiles share
 
 
-def load_network(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
-    """Load a shipped network (`Profile.network`) and that of shear, or fitted ones; for one thread at a time. Raises
+def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
+    """Load a shipped network (`Profile.network`), or a fitted one, and that of shear; for one thread at a time. Raises
     ValueError if the fitted weights have another layout.
     """
-    return read_network(WEIGHTS / f"{name}.onnx", fitted, fitted_shear)
+    return read_network(WEIGHTS / f"{name}.onnx", fitted)
 
 
-def read_network(onnx: Path, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> Network:
+def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
     own = read_part(onnx, fitted)
-    shear = _shipped_shear() if fitted_shear is None else read_part(WEIGHTS / f"{SHEAR}.onnx", fitted_shear)
     return_free_memory()  # 8 MB for `accurate`
 
     def sense(known: F32) -> F32:
         return own.sense(known) if fitted is None else own.sense(known) + fitted.correction
 
-    return replace(own, sense=sense, shear=shear, sigma=_sigma(onnx.stem))
+    return replace(own, sense=sense, shear=_shear(), sigma=_sigma(onnx.stem))
 
 
 @cache
-def _shipped_shear() -> Network:
+def _shear() -> Network:
     return read_part(WEIGHTS / f"{SHEAR}.onnx")
 
 
@@ -138,15 +137,14 @@ def _sigma(name: str) -> SigmaModel | None:
     return SigmaModel(tuple(float(known["weights"][term]) for term in TERMS), *others)
 
 
-def touch_networks(name: str, fitted: FittedNetwork | None = None, fitted_shear: FittedNetwork | None = None) -> str:
+def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
     """SHA-256 of everything that computes a touch model's features (`TouchModel.networks`)."""
     digest = hashlib.sha256()
     for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / f"{SHEAR}.onnx"):
         for path in (onnx, onnx.with_suffix(".sensor.onnx"), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
             digest.update(path.read_bytes())
-    for each in (fitted, fitted_shear):
-        if each is not None:
-            digest.update(each.weights.tobytes() + each.correction.tobytes())
+    if fitted is not None:
+        digest.update(fitted.weights.tobytes() + fitted.correction.tobytes())
     return digest.hexdigest()
 
 
@@ -199,10 +197,9 @@ def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstruc
     name, touch = profile.network, calibration.touch.get(profile.name)
     if not name:
         return Reconstructor(calibration, profile)
-    fitted = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
-    shared = _for_all.get(name) if fitted == (None, None) else None
-    network = shared or load_network(name, *fitted)
-    if touch is None or touch.networks == touch_networks(name, *fitted):
+    fitted = calibration.fitted.get(profile.name)
+    network = (_for_all.get(name) if fitted is None else None) or load_network(name, fitted)
+    if touch is None or touch.networks == touch_networks(name, fitted):
         return Reconstructor(calibration, profile, network, touch=touch)
     text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
     return Reconstructor(calibration, profile, network, touch=Reason(ReasonCode.TOUCH_NETWORKS, text))
@@ -234,9 +231,9 @@ class TouchResult:
 def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
     """Learn a profile's touch model; the profile must have a network."""
     assert profile.network is not None
-    fitted = calibration.fitted.get(profile.name), calibration.fitted.get(SHEAR)
+    fitted = calibration.fitted.get(profile.name)
     taken: list[F32] = []
-    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, *fitted), touch=taken)
+    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, fitted), touch=taken)
     names: list[str] = []
     left_out, known, groups, imprints, parts = [], [], [], [], []
     for frame in frames:
@@ -261,7 +258,7 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     if len(used):
         chosen = [QUANTITIES[q] for q in used]
         table = np.stack(taken), np.stack(imprints), np.array(parts)
-        learnt = learn(*table, chosen, labels[:, used], numbers, touch_networks(profile.network, *fitted))
+        learnt = learn(*table, chosen, labels[:, used], numbers, touch_networks(profile.network, fitted))
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 

@@ -52,9 +52,9 @@ def test_a_fit_needs_no_press_and_says_what_it_found(monkeypatch: pytest.MonkeyP
     folder, said = tmp_path / "fit", []
     folder.mkdir()
     (folder / "fit-of-mine.txt").touch()
-    (folder / "fit-0123456789abcdef-shear.npz").touch()  # of another fit
+    (folder / "fit-0123456789abcdef-fast.npz").touch()  # of another fit
     result = short_fit(monkeypatch, said, folder)
-    assert [report.name for report in result.networks] == [DEFAULT, "accurate", "fast", "shear"]
+    assert [report.name for report in result.networks] == [DEFAULT, "accurate", "fast"]
     assert set(result.calibration.fitted) == {report.name for report in result.networks if report.kept}
     assert "pins 3.04 mm long as stated" in result.found[0]
     assert said[0] == "fit: finding the print in the reference"
@@ -187,7 +187,7 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
 def test_weights_are_loaded_in_their_order() -> None:
     from tacshade_edge.fitting.training import TorchNetwork
 
-    network = TorchNetwork("shear")
+    network = TorchNetwork("fast")
     doubled = 2 * network.flat()
     network.load(doubled)
     np.testing.assert_array_equal(network.flat(), doubled)

@@ -172,7 +172,6 @@ class Judged:
     me_mm: float
     sd_pct: float
     iou: float
-    shear_off_mm: float
     held_pct: float = math.nan
     """Share of the cells in contact whose 90 % interval holds the true height."""
 
@@ -196,18 +195,14 @@ def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Ca
     for judged, scene in judged_scenes(sensor, name.seed):
         frame = sensor.frame((scene.press,), scene.noise_seed)
         truth = frame.truth()
-        row, col = np.nonzero(truth.contact)
-        true_shear = frame.shear_mm(row.astype(float), col.astype(float)).mean(axis=0)
         for what, profile, reconstructor in made:
             found = reconstructor.step(Frame(0, 0, 0, frame.image))
             scored = score(Label(str(name), scene.object_name), KnownTruth.of(truth), found)
-            shear = found.shear_of_contact_mm or (math.nan, math.nan)
-            off = float(np.linalg.norm(np.subtract(shear, true_shear)))
             depth, contact, held_pct = scene.press.depth_mm, found.height.contact, math.nan
             if found.contact and found.sigma_mm is not None:
                 off_mm = np.abs(found.height.height_mm[contact] - true_height_mm(frame, reconstructor.grid, contact))
                 held_pct = 100 * float(np.mean(off_mm <= INTERVAL_90 * found.sigma_mm[contact]))
-            scores = (scored.me_mm, scored.sd_pct, scored.iou, off, held_pct)
+            scores = (scored.me_mm, scored.sd_pct, scored.iou, held_pct)
             rows.append(Judged(profile, what, scene.object_name, judged, depth, *scores))
     return rows
 
@@ -352,8 +347,8 @@ def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[li
 
 
 def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of drag: ME next to that of the same objects undragged, the error of shear, and the share of
-    cells whose interval holds the true height.
+    """Lines of the table of drag: ME next to that of the same objects undragged, and the share of cells whose interval
+    holds the true height.
     """
     lines = []
     for profile in LADDER:
@@ -363,11 +358,8 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
             still = [r for r in of_both if r.judged == "pressed"]
             moved = [r for r in of_both if r.judged == "dragged"]
             me, before = np.mean(of_objects(moved, "me_mm")), np.mean(of_objects(still, "me_mm"))
-            off = np.nanmedian([r.shear_off_mm for r in moved])
             held = (np.nanmean([r.held_pct for r in some]) for some in (still, moved))
-            cells.append(
-                (f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", f"{off:.3f}", *(f"{h:.0f}" for h in held))
-            )
+            cells.append((f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", *(f"{h:.0f}" for h in held)))
         lines.append([case, profile, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
     return lines
 
@@ -434,7 +426,7 @@ def main() -> None:
     first = ["sensor", "method"]
     print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
-    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "shear off mm", *HELD)], drags))
+    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", *HELD)], drags))
     print("\nThe print that the reference shows, off by %\n")
     print(markdown(["sensor", *sizes], prints))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
