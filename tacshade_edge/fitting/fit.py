@@ -131,9 +131,9 @@ Say = Callable[[str], None]
 class NetworkReport:
     """Errors of a network, as shipped and fitted.
 
-    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training
-    did not see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network
-    has learnt. None without presses; the second also if the fitted network misses more of them.
+    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training did not
+    see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network has
+    learnt. None without presses; the second also if the fitted network misses more of them.
     """
 
     name: str
@@ -333,9 +333,7 @@ def _judged(
         off_mm = unit_mm * training.error(network, maps)
         return FittedNetwork(shipped_layout(name), made, correction, 0, off_mm, shipped_mm)
 
-    before = None
-    if presses:
-        before = on_presses(calibration, PROFILES[name], load_network(name, None), presses)
+    before = on_presses(calibration, PROFILES[name], load_network(name), presses) if presses else None
     if before is None or not before.errors_mm:
         made = part_of_the_way(PART_ALONE[name])
         return made, NetworkReport(name, shipped_mm, made.error_mm)

@@ -57,6 +57,7 @@ def test_a_fit_needs_no_press_and_says_what_it_found(monkeypatch: pytest.MonkeyP
     assert [report.name for report in result.networks] == [DEFAULT, "accurate", "fast"]
     assert set(result.calibration.fitted) == {report.name for report in result.networks if report.kept}
     assert "pins 3.04 mm long as stated" in result.found[0]
+    assert "markers that merge" in result.found[0]
     assert said[0] == "fit: finding the print in the reference"
     assert any(line.startswith("fit: simulating, 100 % done") for line in said)
     assert [path.name for path in folder.iterdir()] == ["fit-of-mine.txt"]

@@ -31,6 +31,8 @@ def of(model: SensorModel) -> Calibration:
 
 
 def assert_found(best: Found, model: SensorModel) -> None:
+    from tacshade_edge.fitting.identify import MERGED
+
     assert best.kind.white_tips == (model.pin_tip_reflectance > 0.5)
     assert best.residual < 0.6
     found_mm = best.base.pitch_mm * best.values[:3]
@@ -40,6 +42,7 @@ def assert_found(best: Found, model: SensorModel) -> None:
     assert found_mm[1] == pytest.approx(true_mm[1], rel=0.12)
     if not best.kind.white_tips:
         assert len(best.kind.marker_parts) == 2
+        assert best.values[3] == MERGED  # nothing shows the size of markers that merge
         assert found_mm[0] == pytest.approx(true_mm[0], rel=0.2)
         assert found_mm[2] == pytest.approx(true_mm[2], rel=0.25)
 
