@@ -22,7 +22,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.free_memory import return_free_memory
-from tacshade_edge.inference.onnx_weights import layout_of, values_of, weights_of, with_values, with_weights_of
+from tacshade_edge.inference.onnx_weights import layout_of, values_of, with_values, with_weights_of
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, FittedNetwork, Frame, Need
 
@@ -44,11 +44,7 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
     own = read_part(onnx, fitted)
     return_free_memory()  # 8 MB for `accurate`
-
-    def sense(known: F32) -> F32:
-        return own.sense(known) if fitted is None else own.sense(known) + fitted.correction
-
-    return replace(own, sense=sense, shear=_shear(), sigma=_sigma(onnx.stem))
+    return replace(own, shear=_shear(), sigma=_sigma(onnx.stem))
 
 
 @cache
@@ -57,7 +53,7 @@ def _shear() -> Network:
 
 
 def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
-    """Read one network, without its correction. Raises ValueError like `load_network`. The features for a touch model
+    """Read one network. Raises ValueError like `load_network`. The features for a touch model
     come from a second session, made for the first of them: it reads the files again, so that no weights are kept for
     it.
     """
@@ -121,11 +117,7 @@ def can_run(name: str, fitted: FittedNetwork) -> bool:
     """Whether fitted weights have the layout and the sizes of a shipped network."""
     if fitted.layout != shipped_layout(name):
         return False
-    (fold, cells), files = network_size(name), network_files(name)
-    side = cells // fold
-    channels = weights_of(files[1])[0].shape[0]
-    count = sum(len(values_of(data)) for data in files)
-    return fitted.weights.shape == (count,) and fitted.correction.shape == (channels, side, side)
+    return fitted.weights.shape == (sum(len(values_of(data)) for data in network_files(name)),)
 
 
 def _sigma(name: str) -> SigmaModel | None:
@@ -144,7 +136,7 @@ def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
         for path in (onnx, onnx.with_suffix(".sensor.onnx"), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
             digest.update(path.read_bytes())
     if fitted is not None:
-        digest.update(fitted.weights.tobytes() + fitted.correction.tobytes())
+        digest.update(fitted.weights.tobytes())
     return digest.hexdigest()
 
 

@@ -60,22 +60,22 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:
-    """A profile's network, trained further with a sensor's own presses (``calibrate --fit``). Errors are of h on the
-    presses kept out of the training, where the indenter's surface is known; each indenter counts alike.
+    """A profile's network, trained further on a twin of the sensor (``calibrate --fit``). Errors are of h on presses,
+    where the indenter's surface is known and each indenter counts alike, or without presses on simulated frames.
     """
 
     layout: str  # of the shipped network that training began with; the weights run in no other
     weights: F32  # (P,), in the order of the shipped file
-    correction: F32  # (channels, N, N), added to what the reference adds to the first layer; 0 in new fits
     held_out: int  # number of presses that decided whether to keep the network
     error_mm: float
-    shipped_error_mm: float  # of the shipped network with its one factor
+    shipped_error_mm: float
+    factor: Positive = 1.0  # on h
     error_scale: Positive | None = None  # factor on σ, measured on those presses (`core.depth.sigma`)
 
     def __post_init__(self) -> None:
-        freeze(self, "weights", "correction")
+        freeze(self, "weights")
         require_bounds(self)
-        if not (np.isfinite(self.weights).all() and np.isfinite(self.correction).all()):
+        if not np.isfinite(self.weights).all():
             raise ValueError("a fitted weight is not finite")
 
 
@@ -158,7 +158,7 @@ class Calibration:
     alpha: Annotated[float, Meta(ge=0, lt=_MOST)]  # the paper's α: depth of a normalised height of 1, in px
     factors: Mapping[str, Size] = field(default_factory=dict)  # on h, of each profile refitted to presses
     fit: Fit | None = None
-    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)  # by profile, whose factor is then unused
+    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)  # by profile, with its own factor
     error_scales: Mapping[str, Size] = field(default_factory=dict)  # on σ, of shipped networks measured on presses
     touch: Mapping[str, TouchModel] = field(default_factory=dict)  # by profile (``calibrate --labels``)
     flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = IDENTITY_POSE

@@ -155,11 +155,9 @@ def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
 
 def test_weights_that_are_not_those_of_their_layout_do_not_run(path: Path) -> None:
     fitted = fitted_network("fast")
-    for changed in ({"weights": fitted.weights[1:]}, {"correction": fitted.correction[:, 1:]}):
-        calibration_file.save(path, replace(calibrated(), fitted={"fast": replace(fitted, **changed)}))
+    for other in ({"fast": replace(fitted, weights=fitted.weights[1:])}, {"other": fitted}):
+        calibration_file.save(path, replace(calibrated(), fitted=other))
         assert calibrations.load(path).fitted == {}
-    calibration_file.save(path, replace(calibrated(), fitted={"other": fitted}))
-    assert calibrations.load(path).fitted == {}
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,12 @@ import pytest
 from support.calibrated_sensor import HALF, PIN_LENGTH_MM, calibrated, found_prints, presses, unloaded
 from support.networks import float_network
 
+from tacshade_edge.core.depth.base import Features
 from tacshade_edge.core.depth.learned import KNOWN
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.inference.network import make_reconstructor, network_files
 from tacshade_edge.inference.onnx_weights import values_of
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import F32, Calibration, Frame
 from tools.testbed.patience import wait_until
 
 if TYPE_CHECKING:
@@ -157,13 +158,31 @@ def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
 
     found = on_presses(calibrated(), PROFILES["fast"], load_network("fast"), presses()[:6])
     assert found.presses == 6
-    assert 0 < found.errors_mm["ball"] < 0.6
+    assert 0 < found.mean_mm < 0.6
     assert found.error_scale is not None
     none = on_presses(calibrated(), PROFILES["fast"], replace(load_network("fast"), sigma=None), presses()[:1])
     assert none.error_scale is None
 
 
-# Found, not imported: that takes whoever only collects this two seconds.
+def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() -> None:
+    from tacshade_edge.fitting.fit import on_presses
+    from tacshade_edge.inference.network import load_network
+
+    network = load_network("fast")
+
+    def shallow(white: F32, sensor: F32, features: Features | None = None) -> list[F32]:
+        maps, untrusted = network.run(white, sensor, features)
+        return [np.concatenate((maps[: network.fold**2] / 2, maps[network.fold**2 :])), untrusted]
+
+    halved = replace(network, run=shallow)
+    own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
+    alike = on_presses(calibrated(), PROFILES["fast"], halved, own)
+    assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
+    others = [replace(press, radius_mm=5.1) for press in own[6:]]
+    found = on_presses(calibrated(), PROFILES["fast"], halved, [*own[:6], *others])
+    assert (len(found.errors_mm), found.presses) == (2, 12)
+    assert found.factor == pytest.approx(2, rel=0.2)
+    assert found.mean_mm < 0.5 * alike.mean_mm
 
 
 @pytest.mark.parametrize("name", ["fast", "balanced", "accurate"])

@@ -16,7 +16,6 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference import network
 from tacshade_edge.inference.network import (
     WEIGHTS,
-    load_network,
     load_networks,
     network_files,
     read_network,
@@ -80,16 +79,12 @@ def shared_networks() -> Iterator[None]:
 
 
 def fitted_network(profile: str, by: float = 0.0, layout: str | None = None) -> FittedNetwork:
-    """The shipped weights, all of them and the correction greater by a number."""
+    """The shipped weights, all of them greater by a number."""
     name = PROFILES[profile].network
     assert name is not None
     weights = np.concatenate([values_of(data) for data in network_files(name)])
-    side = PROFILES[profile].cells // load_network(name).fold
-    channels = {"accurate": 16, "balanced": 16, "fast": 32}[name]
-    correction = np.full((channels, side, side), by, np.float32)
-    return FittedNetwork(
-        layout or shipped_layout(name), weights + np.float32(by), correction, 8, error_mm=0.2, shipped_error_mm=0.4
-    )
+    weights += np.float32(by)
+    return FittedNetwork(layout or shipped_layout(name), weights, 8, error_mm=0.2, shipped_error_mm=0.4)
 
 
 def fitted_with(profile: str, calibration: Calibration, by: float = 0.0, layout: str | None = None) -> Calibration:

@@ -287,7 +287,7 @@ def measured(case: str, keep: Path | None) -> dict[str, object]:
         "found": fitted.found,
         "sizes_off_pct": sizes_off_pct(result.calibration, sensor.model),
         "networks": [asdict(report) for report in fitted.networks],
-        "reports": {report.name: report.kept for report in fitted.networks},
+        "reports": {name: name in fitted.calibration.fitted for name in LADDER},
         "cost": cost(sensor, calibrations),
         "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
     }

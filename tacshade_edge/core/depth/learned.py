@@ -123,8 +123,8 @@ class LearnedSolver:
         self._shear_cells = self._cells if same else CellMeans(preprocessor.integrator, whole)
         at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
         self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
-        # A fitted network was trained on the truth itself and needs no factor.
-        self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
+        fitted = camera.fitted.get(profile.name)
+        self._factor = np.float32(fitted.factor if fitted else camera.factors.get(profile.name, 1.0))
         self._latest: tuple[Preprocessed, F32] | None = None  # and its white: depth and shear may see the same
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 

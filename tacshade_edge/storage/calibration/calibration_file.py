@@ -72,10 +72,8 @@ def _content(calibration: Calibration) -> Content:
     del meta["image_height_px"], meta["image_width_px"]  # as the images'
     meta |= {"version": VERSION, "fit": fit_figures(calibration.fit)}
     for name, fitted in calibration.fitted.items():
-        about, _ = parts_of(fitted)
-        about["correction"] = list(fitted.correction.shape)
-        meta.setdefault("fitted", {})[name] = about
-        arrays[f"fitted_{name}"] = np.concatenate((fitted.weights, fitted.correction.ravel()), dtype=np.float32)
+        meta.setdefault("fitted", {})[name], parts = parts_of(fitted)
+        arrays[f"fitted_{name}"] = parts["weights"]
     for name, model in calibration.touch.items():
         about, parts = parts_of(model)
         about["shapes"] = {key: list(part.shape) for key, part in parts.items()}
@@ -168,15 +166,13 @@ def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
 
 
 def _fitted(content: Content) -> dict[str, FittedNetwork]:
-    """The networks, of each of which an array holds the weights followed by the correction. Raises ValueError."""
+    """The networks, of each of which an array holds the weights. Raises ValueError."""
     made = {}
     for name, about in _profiles(content, "fitted").items():
-        shape = msgspec.convert(about.get("correction"), _Shape)
-        stored, size = content.arrays.get(f"fitted_{name}"), math.prod(shape)
-        if stored is None or stored.ndim != 1 or len(shape) != 3 or not 0 < size < len(stored):
-            raise ValueError("expected fitted weights as many as they are said to be")
-        parts = {"weights": stored[:-size], "correction": stored[-size:].reshape(shape)}
-        made[name] = record_of(FittedNetwork, about | parts)
+        weights = content.arrays.get(f"fitted_{name}")
+        if weights is None or weights.ndim != 1 or not len(weights):
+            raise ValueError("found no fitted weights")
+        made[name] = record_of(FittedNetwork, about | {"weights": weights})
     return made
 
 

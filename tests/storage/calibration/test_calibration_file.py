@@ -201,9 +201,7 @@ def test_a_version_that_is_no_number_names_no_file(tmp_path: Path, version: obje
     assert [path.name for path in tmp_path.iterdir()] == ["c.npz"]
 
 
-FITTED = FittedNetwork(
-    "a1", np.arange(5, dtype=np.float32), np.ones((2, 3, 3), np.float32), 8, error_mm=0.2, shipped_error_mm=0.4
-)
+FITTED = FittedNetwork("a1", np.arange(5, dtype=np.float32), 8, error_mm=0.2, shipped_error_mm=0.4)
 FEATURES = np.random.default_rng(0).normal(size=(60, 20)).astype(np.float32)
 
 
@@ -217,7 +215,7 @@ def model() -> TouchModel:
 
 def test_networks_and_models_come_back_and_count_in_the_checksum(tmp_path: Path, model: TouchModel) -> None:
     path, plain = tmp_path / "c.npz", painted_calibration()
-    for fitted in (FITTED, replace(FITTED, error_scale=1.5)):
+    for fitted in (FITTED, replace(FITTED, factor=1.1, error_scale=1.5)):
         saved = calibration_file.save(path, replace(plain, fitted={"fast": fitted}, touch={"fast": model}))
         loaded = calibration_file.load(path)
         assert loaded.crc32 == saved.crc32 != calibration_file.with_crc(plain).crc32
@@ -232,10 +230,9 @@ def test_networks_and_models_come_back_and_count_in_the_checksum(tmp_path: Path,
 @pytest.mark.parametrize(
     ("key", "damage", "message"),
     [
-        ("fitted", {"correction": [0, 3, 3]}, "as many as"),
-        ("fitted", {"correction": [2, 3]}, "as many as"),
         ("fitted", {"more": 1}, "unknown field"),
         ("fitted", {"error_scale": 0.0}, "Expected"),
+        ("fitted", {"factor": -1.0}, "Expected"),
         ("touch", {"names": ["depth_mm", "colour"]}, "other quantities"),
         ("touch", {"names": ["depth_mm"]}, "does not fit"),
         ("touch", {"shapes": {}}, "other arrays"),
@@ -263,7 +260,7 @@ def test_damaged_arrays_of_a_network_or_model_are_refused(tmp_path: Path, model:
     for name in [name for name in content.arrays if name.startswith(("fitted", "touch"))]:
         array = content.arrays[name]
         for other, message in (
-            (array[:0], "said to be"),
+            (array[:0], "said to be|no fitted weights"),
             (array.astype(np.float64), "said to be|Expected an array"),
             (np.full_like(array, np.nan), "not finite"),
         ):
@@ -271,5 +268,5 @@ def test_damaged_arrays_of_a_network_or_model_are_refused(tmp_path: Path, model:
             with pytest.raises(ConfigError, match=message):
                 calibration_file.load(path)
         written(path, dict(content.meta), {key: value for key, value in content.arrays.items() if key != name})
-        with pytest.raises(ConfigError, match="said to be"):
+        with pytest.raises(ConfigError, match=r"said to be|no fitted weights"):
             calibration_file.load(path)
