@@ -31,7 +31,7 @@ OTHER_LOAD = 0.1
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FITTED = "9028/none,other:9028/none,9028,other:9028,9027/drawing,other:9027/drawing,9027/exact,9027/long"
+FIT = "tools.studies.fit --folder out/fit --cases"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +108,13 @@ PAGES = {
         own=("tools/examples/servo",),
     ),
     "fit": Page(
-        {"": f"tools.studies.fit --folder out/fit --cases {FITTED}"},
-        r"^The fit of all|^(worst .*|worst|IoU .*|file kB .*|start ms .*|.* worst|SD % .*|ratio .*|frame ms .*"
-        r"|ME still .*|half of each.*|memory MB|fit s|depth|kept|in 90 % .*)$|\| 6 mm \||^[^|]*\| fast \|"
-        r"|^[^|]*(\d|/[^n]\w+) \| [+-]",
+        {
+            "": f"{FIT} 9028/none,other:9028/none,9029/none,other:9029/none",
+            "With 40 presses": f"{FIT} 9028,other:9028,9029,other:9029",
+            "What the fit knows": f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep",
+        },
+        r"^The fit of all|^(worst .*|6 mm deep (shipped|fitted)|IoU .*|file kB .*|start ms .*|.* worst|SD % .*"
+        r"|frame ms .*|half of each.*|memory MB|fit s|kept|in 90 % .*)$|^[^|]*\| fast \||^[^|]*(\d|/[^n]\w+) \| [+-]",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(

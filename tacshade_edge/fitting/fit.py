@@ -119,6 +119,9 @@ MOST_UNEXPLAINED = 0.75
 """Greatest part of the reference's pattern (RMS) that a print may leave unexplained."""
 UNEXPLAINED_ALONE = 0.45
 """The same without presses, which would show whether the networks of a wrong print are worse."""
+CONTRADICTED = 1.2
+"""Stated sizes are wrong if they leave more than this many times as much unexplained as those found without them: pins
+stated a fifth too long or too short leave 1.4 and 1.6 times as much, exact ones 1.0."""
 PARTS = (0.25, 0.5, 0.75, 1.0)
 """Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
 what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
@@ -214,6 +217,10 @@ def fit(
         why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
         return FitResult(calibration, (found,))
+    if stated and prints[0].residual > CONTRADICTED * (shown := identify(calibration))[0].residual:
+        doubt = f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
+        found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
+        return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
     if not presses and prints[0].residual > UNEXPLAINED_ALONE:
         doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
         found = f"the likeliest print leaves {doubt}: nothing is fitted without presses that judge the fit"

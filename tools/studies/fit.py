@@ -103,7 +103,9 @@ DRAG_MM, DRAGGED_MM = 2.0, 3.0
 """Length of a drag, and depth during it, mm."""
 ROUNDS, STARTS = 40, 5
 """Numbers of frames and starts behind a reported median."""
-HELD = ("in 90 % still", "in 90 % dragged")
+JUDGED = ("pressed", "dragged", "beyond")
+FIGURES = ("pressed", "dragged", f"{BEYOND_MM:g} mm deep", "worst object", "SD %", "IoU", "in 90 %", "in 90 % dragged")
+"""Of each sensor: ME in mm by what was done and of the worst object, then of those not dragged, and held shares."""
 CYLINDER_MM = 5.0
 """Radius of the simulator's cylinder."""
 
@@ -327,40 +329,28 @@ def of_objects(rows: list[Judged], value: str) -> list[float]:
     return [float(np.nanmean(values)) for values in each]
 
 
-def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of accuracy."""
+def of_sensor(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[list[str]]:
+    """Lines of the table of each sensor, one for each profile."""
     lines = []
     for profile in LADDER:
-        for judged in ("pressed", "beyond"):
-            cells = []
-            for what in ("shipped", "fitted"):
-                these = [r for r in rows if (r.profile, r.judged, r.what) == (profile, judged, what)]
-                me, sd = of_objects(these, "me_mm"), of_objects(these, "sd_pct")
-                iou = np.mean(of_objects(these, "iou"))
-                cells.append(
-                    (f"{np.mean(me):.3f}", f"{max(me):.3f}", f"{np.mean(sd):.1f}", f"{min(sd):.1f}", f"{iou:.2f}")
-                )
-            depth = f"{BEYOND_MM:g} mm" if judged == "beyond" else f"to {PRESSED_MM[1]:g} mm"
-            stays = "yes" if kept[profile] else "no"
-            lines.append([case, profile, depth, stays, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
-    return lines
-
-
-def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of drag: ME next to that of the same objects undragged, and the share of cells whose interval
-    holds the true height.
-    """
-    lines = []
-    for profile in LADDER:
-        cells = []
+        of_both = []
         for what in ("shipped", "fitted"):
-            of_both = [r for r in rows if (r.profile, r.what, r.depth_mm) == (profile, what, DRAGGED_MM)]
-            still = [r for r in of_both if r.judged == "pressed"]
-            moved = [r for r in of_both if r.judged == "dragged"]
-            me, before = np.mean(of_objects(moved, "me_mm")), np.mean(of_objects(still, "me_mm"))
-            held = (np.nanmean([r.held_pct for r in some]) for some in (still, moved))
-            cells.append((f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", *(f"{h:.0f}" for h in held)))
-        lines.append([case, profile, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
+            own = [row for row in rows if (row.profile, row.what) == (profile, what)]
+            pressed, moved, deep = ([r for r in own if r.judged == judged] for judged in JUDGED)
+            of_each = of_objects(pressed, "me_mm")
+            me_mm = [np.mean(each) for each in (of_each, of_objects(moved, "me_mm"), of_objects(deep, "me_mm"))]
+            held = [np.nanmean([row.held_pct for row in some]) for some in (pressed, moved)]
+            sd, iou = (np.mean(of_objects(pressed, value)) for value in ("sd_pct", "iou"))
+            of_both.append(
+                [
+                    *(f"{me:.3f}" for me in (*me_mm, max(of_each))),
+                    f"{sd:.1f}",
+                    f"{iou:.2f}",
+                    *(f"{h:.0f}" for h in held),
+                ]
+            )
+        stays = "yes" if kept[profile] else "no"
+        lines.append([case, profile, stays, *(cell for pair in zip(*of_both, strict=True) for cell in pair)])
     return lines
 
 
@@ -368,7 +358,7 @@ def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list
     """Lines of the table of changes: ME after the fit over that before; a fit that is not kept changes nothing."""
     lines = []
     for profile in LADDER:
-        ratios: dict[str, list[float]] = {"pressed": [], "dragged": [], "beyond": []}
+        ratios: dict[str, list[float]] = {judged: [] for judged in JUDGED}
         for kept, rows in of_cases:
             for judged, of_judged in ratios.items():
                 before, after = (
@@ -394,14 +384,13 @@ def main() -> None:
     parser.add_argument("--cases", default=CASES, help="sensors, with /balls for balls alone or /none for no presses")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     args = parser.parse_args()
-    accurate, drags, costs, of_cases, prints = [], [], [], [], []
+    sensors, costs, of_cases, prints = [], [], [], []
     for case in args.cases.split(","):
         found = of_case(case, args.folder)
         print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
         rows = [Judged(**row) for row in found["rows"]]
         of_cases.append((found["reports"], rows))
-        accurate += accuracy(case, found["reports"], rows)
-        drags += dragged(case, rows)
+        sensors += of_sensor(case, found["reports"], rows)
         sizes: dict[str, float] = found["sizes_off_pct"]
         prints.append([case, *(f"{off:+.0f}" for off in sizes.values())])
         both = [found["cost"]["shipped"], found["cost"]["fitted"]]
@@ -422,11 +411,8 @@ def main() -> None:
         for what in ("mean", "worst")
     ]
     print(markdown(["method", "kept", *of_each], changes(of_cases)))
-    print("\nEach sensor\n")
-    first = ["sensor", "method"]
-    print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
-    print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
-    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", *HELD)], drags))
+    print(f"\nME mm of each sensor, dragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep\n")
+    print(markdown(["sensor", "method", "kept", *pairs(*FIGURES)], sensors))
     print("\nThe print that the reference shows, off by %\n")
     print(markdown(["sensor", *sizes], prints))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
