@@ -63,11 +63,12 @@ PAGES = {
     ),
     "sigma": Page(
         {"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"},
-        r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0 mm|2 mm|2.75 mm|4.5 mm) ",
+        r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0|1|2|2.75|4.5) mm ",
     ),
     "limits": Page(
         {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
-        r"^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35|6) mm|1\.5 mm|[12457] mm)$"
+        r"^The limits of|^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35|6) mm"
+        r"|1\.5 mm|[12457] mm)$"
         r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
         r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a)[^|]*\| (fast|balanced|accurate) "
         r"|saturated %|^(glare spot|after a release|dirty: specks|pressed) \| \d"
@@ -93,11 +94,12 @@ PAGES = {
     "real-frames": Page(
         {
             "": f"{REAL} raw out/real/aerial_tactile_servoing",
+            "Whole pictures, fitted to the reference": f"{REAL} raw out/real/aerial_tactile_servoing --fit",
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
         },
-        r"shear, no map|^(why|frames|of more than 0.3 mm)$|^(Published|References|Circle)"
+        r"shear, no map|one offset|^(why|frames|of more than 0.3 mm)$|^(Published|References|Circle|fit of|Figures)"
         r"|^light \| light of |of 500 \||^(fast|balanced) \| (tilt|shear) ",
     ),
     "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),
@@ -147,9 +149,10 @@ def shrunk(printed: str, leave_out: str) -> str:
         rows[1] = [re.sub("-+", "---", cell) for cell in rows[1]]
         kept = [index for index, name in enumerate(rows[0]) if not dropped.search(name)]
         body = [row for row in rows[2:] if not dropped.search(" | ".join(row))]
-        if not body or (blocks and blocks[-1] is None):
-            continue
-        blocks.append("\n".join(f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)))
+        if blocks and blocks[-1] is None:
+            blocks[-1] = ""
+        elif body:
+            blocks.append("\n".join(f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)))
     return "\n\n".join(block for block in blocks if block)
 
 
