@@ -55,11 +55,11 @@ PAGES = {
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
-        r"^(Profiles|missed)$|^(?!mean)\w+ \| (paper|fast|balanced) |^(?!mean|cone)\w+ \| accurate \|",
+        r"^(Profiles|missed)$|\| Table I |^(?!mean)\w+ \| (paper|fast|balanced) |^(?!mean|cone)\w+ \| accurate \|",
     ),
     "drag": Page(
         {"": "tools.studies.drag --final"},
-        r"^(frames|missed|refused|IoU|SD %|95 %)$|^\d.* \| (fast|balanced) ",
+        r"^(frames|missed|refused|IoU|SD %|95 %)$|^\d.* \| (fast|balanced) |^[12] mm \|",
     ),
     "sigma": Page(
         {"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"},
@@ -115,8 +115,9 @@ PAGES = {
             "With 40 presses": f"{FIT} 9028,other:9028,9029,other:9029",
             "What the fit knows": f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep",
         },
-        r"^The fit of all|^(worst .*|6 mm deep (shipped|fitted)|IoU .*|file kB .*|start ms .*|.* worst|SD % .*"
-        r"|frame ms .*|half of each.*|memory MB|fit s|kept|in 90 % .*)$|^[^|]*\| fast \||^[^|]*(\d|/[^n]\w+) \| [+-]",
+        r"^(ME after|The fit of all)|^(worst .*|6 mm deep (shipped|fitted)|IoU .*|file kB .*|start ms .*|.* worst"
+        r"|SD % .*|frame ms .*|half of each.*|memory MB|fit s|kept|in 90 % .*)$"
+        r"|^[^|]*\| fast \||^[^|]*(\d|/[^n]\w+) \| [+-]",
         own=("tacshade_edge/fitting",),
     ),
     "touch": Page(
