@@ -56,9 +56,10 @@ class OnPresses:
 
 
 def on_presses(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
-) -> OnPresses:
-    """Measure a network on presses."""
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress],
+    factor: float | None = None,
+) -> OnPresses:  # fmt: skip
+    """Measure a network on presses, with the factor on h that it has, or with one that they show."""
     geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
     inside = rays_in_image(solver.grid, calibration).inside
@@ -84,9 +85,9 @@ def on_presses(
             off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
         return {name: float(np.mean(each)) for name, each in off.items()}
 
-    factors = {name: refit.fit_factor([row for other, row in rows if other != name]) or 1.0 for name in names}
+    factors = {name: factor or refit.fit_factor([row for at, row in rows if at != name]) or 1.0 for name in names}
     plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
-    gains = sum(scaled.values()) < sum(plain.values())
+    gains = factor is not None or sum(scaled.values()) < sum(plain.values())
     in_sigma = [
         errors_in_sigma(
             network.sigma, np.float32(factors[name] if gains else 1) * height, truth, inverse.contact_logit,
@@ -98,7 +99,7 @@ def on_presses(
     return OnPresses(
         scaled if gains else plain,
         len(seen),
-        (refit.fit_factor([row for _, row in rows]) or 1.0) if gains else 1.0,
+        (factor or refit.fit_factor([row for _, row in rows]) or 1.0) if gains else 1.0,
         error_scale(network.sigma, in_sigma) if network.sigma is not None and in_sigma else None,
     )
 
@@ -355,7 +356,8 @@ def _judged(
         off_mm = unit_mm * training.error(network, maps)
         return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm)
 
-    before = on_presses(calibration, PROFILES[name], load_network(name), presses) if presses else None
+    own = calibration.factors.get(name, 1.0)
+    before = on_presses(calibration, PROFILES[name], load_network(name), presses, own) if presses else None
     if before is None or not before.errors_mm:
         made = part_of_the_way(PART_ALONE[name])
         return made, NetworkReport(name, shipped_mm, made.error_mm)

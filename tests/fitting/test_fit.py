@@ -192,6 +192,7 @@ def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() 
     own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
     alike = on_presses(calibrated(), PROFILES["fast"], halved, own)
     assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
+    assert on_presses(calibrated(), PROFILES["fast"], halved, own, 2.0).mean_mm < 0.6 * alike.mean_mm
     others = [replace(press, radius_mm=5.1) for press in own[6:]]
     found = on_presses(calibrated(), PROFILES["fast"], halved, [*own[:6], *others])
     assert (len(found.errors_mm), found.presses) == (2, 12)
