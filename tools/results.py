@@ -139,8 +139,9 @@ PAGES = {
 
 
 def shrunk(printed: str, leave_out: str) -> str:
-    """Drop lines, columns and rows that match a pattern; a table goes with the line above it."""
-    blocks, dropped = [], re.compile(leave_out)
+    """Drop lines, columns and rows that match a pattern; a table and the line above it go together."""
+    blocks: list[str | None] = []
+    dropped = re.compile(leave_out)
     for block in printed.split("\n\n"):
         lines = block.splitlines()
         if not block.startswith("|"):
@@ -154,6 +155,8 @@ def shrunk(printed: str, leave_out: str) -> str:
             blocks[-1] = ""
         elif body:
             blocks.append("\n".join(f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)))
+        elif blocks and not (blocks[-1] or "|").startswith("|"):
+            blocks.pop()
     return "\n\n".join(block for block in blocks if block)
 
 
