@@ -63,7 +63,7 @@ def on_presses(
     geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
     inside = rays_in_image(solver.grid, calibration).inside
-    seen, rows = [], []
+    seen = []
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         at = placed_press(geometry, inverse, press)
@@ -75,17 +75,16 @@ def on_presses(
             continue
         height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(np.float32)
         name = press.indenter.name if press.indenter else f"ball of radius {press.radius_mm:g} mm"
-        seen.append((name, inverse, height, truth, use))
-        rows.append((name, row))
-    names = dict.fromkeys(name for name, _ in rows)
+        seen.append((name, row, inverse, height, truth, use))
+    names = dict.fromkeys(name for name, *_ in seen)
 
     def errors(factors: Mapping[str, float]) -> dict[str, float]:
         off: dict[str, list[float]] = {name: [] for name in names}
-        for name, _, height, truth, use in seen:
+        for name, _, _, height, truth, use in seen:
             off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
         return {name: float(np.mean(each)) for name, each in off.items()}
 
-    factors = {name: factor or refit.fit_factor([row for at, row in rows if at != name]) or 1.0 for name in names}
+    factors = {name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0 for name in names}
     plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
     gains = factor is not None or sum(scaled.values()) < sum(plain.values())
     in_sigma = [
@@ -93,13 +92,13 @@ def on_presses(
             network.sigma, np.float32(factors[name] if gains else 1) * height, truth, inverse.contact_logit,
             inverse.untrusted_logit, use, geometry,
         )
-        for name, inverse, height, truth, use in seen
+        for name, _, inverse, height, truth, use in seen
         if network.sigma is not None
     ]  # fmt: skip
     return OnPresses(
         scaled if gains else plain,
         len(seen),
-        (factor or refit.fit_factor([row for _, row in rows]) or 1.0) if gains else 1.0,
+        (factor or refit.fit_factor([row for _, row, *_ in seen]) or 1.0) if gains else 1.0,
         error_scale(network.sigma, in_sigma) if network.sigma is not None and in_sigma else None,
     )
 
@@ -214,14 +213,14 @@ def fit(
     effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")
     prints = identify(calibration, stated)
+    if stated and prints and prints[0].residual > CONTRADICTED * (shown := identify(calibration))[0].residual:
+        doubt = f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
+        found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
+        return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
     if not prints or prints[0].residual > MOST_UNEXPLAINED:
         why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
         return FitResult(calibration, (found,))
-    if stated and prints[0].residual > CONTRADICTED * (shown := identify(calibration))[0].residual:
-        doubt = f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
-        found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
-        return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
     if not presses and prints[0].residual > UNEXPLAINED_ALONE:
         doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
         found = f"the likeliest print leaves {doubt}: nothing is fitted without presses that judge the fit"

@@ -108,16 +108,19 @@ def test_a_reference_that_no_print_explains_is_not_fitted() -> None:
     assert "no known kind of print looks like the reference" in result.found[0]
 
 
-def test_a_stated_print_that_the_reference_contradicts_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("unexplained", [0.25, 0.9])
+def test_a_stated_print_that_the_reference_contradicts_is_not_fitted(
+    monkeypatch: pytest.MonkeyPatch, unexplained: float
+) -> None:
     from tacshade_edge.fitting import fit as module
 
     shown = replace(found_prints()[0], residual=0.2)
     monkeypatch.setattr(
-        module, "identify", lambda _, stated=None: [replace(shown, residual=0.25)] if stated else [shown]
+        module, "identify", lambda _, stated=None: [replace(shown, residual=unexplained)] if stated else [shown]
     )
     result = module.fit(without_presses(), [], lambda _: None, {"pin_length_mm": 9.0})
     assert not result.calibration.fitted
-    assert result.found[0].startswith("the stated print leaves 25 % of the reference unexplained: nothing is fitted")
+    assert result.found[0].startswith(f"the stated print leaves {100 * unexplained:.0f} % of the reference unexplained")
     assert "mm long" in result.found[1]
     assert "20 % of the pattern unexplained" in result.found[1]
 
